@@ -1,0 +1,110 @@
+"""Boundary checks: every value type turns its input into clean, read-only float arrays here, once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class InputError(ValueError):
+    """Malformed input. The message is one line that names the field, the index, what was expected and what came."""
+
+
+def as_array(name: str, value: Any, shape: Sequence[int | str], *, finite: bool = True) -> Array:
+    """Copy `value` into a read-only float64 array of `shape` (letters stand for any length ≥ 1)."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: expected numbers of shape {_show(shape)}, got {type(value).__name__}: {error}") from None
+    fits = array.ndim == len(shape) and all(
+        size == want if isinstance(want, int) else size >= 1 for size, want in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
+        raise InputError(f"{name}: expected shape {_show(shape)}, got {array.shape}")
+    if finite:
+        bad = np.argwhere(~np.isfinite(array))
+        if len(bad):
+            index = tuple(int(i) for i in bad[0])
+            raise InputError(f"{name}{_at(index)}: expected a finite number, got {array[index]}")
+    array.flags.writeable = False
+    return array
+
+
+def as_scalar(name: str, value: Any, *, low: float = -np.inf, high: float = np.inf, strict: bool = False) -> float:
+    """A finite float in [low, high], or in (low, high] when `strict`."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
+        raise InputError(f"{name}: expected a number, got {value!r}")
+    number = float(value)
+    below = number <= low if strict else number < low
+    if not np.isfinite(number) or below or number > high:
+        bracket = "(" if strict else "["
+        raise InputError(f"{name}: expected a finite number in {bracket}{low:g}, {high:g}], got {number!r}")
+    return number
+
+
+def as_option(name: str, value: Any, valid: Sequence[str]) -> str:
+    """One of the valid names; the error lists them."""
+    if not isinstance(value, str) or value not in valid:
+        raise InputError(f"{name}: expected one of {', '.join(valid)}; got {value!r}")
+    return value
+
+
+def as_times(name: str, value: Any) -> Array:
+    """Strictly increasing times (T,) [s]."""
+    times = as_array(name, value, ("T",))
+    falls = np.flatnonzero(np.diff(times) <= 0)
+    if len(falls):
+        k = int(falls[0]) + 1
+        raise InputError(f"{name}[{k}]: expected times to increase, got {times[k]:g} after {times[k - 1]:g}")
+    return times
+
+
+def as_weights(name: str, value: Any, steps: int, modes: int) -> Array:
+    """Mode weights (K,) or (T, K), non-negative, summing to 1 within 1e-6, then normalised exactly."""
+    ndim = np.ndim(value)
+    weights = as_array(name, value, (modes,) if ndim == 1 else (steps, modes))
+    negative = np.argwhere(weights < 0)
+    if len(negative):
+        index = tuple(int(i) for i in negative[0])
+        raise InputError(f"{name}{_at(index)}: expected a weight >= 0, got {weights[index]:g}")
+    sums = weights.sum(axis=-1)
+    off = np.flatnonzero(np.abs(np.atleast_1d(sums) - 1.0) > 1e-6)
+    if len(off):
+        where = "" if ndim == 1 else f"[{int(off[0])}]"
+        raise InputError(f"{name}{where}: expected weights that sum to 1, got a sum of {np.atleast_1d(sums)[off[0]]:.9g}")
+    weights = weights / sums[..., None]
+    weights.flags.writeable = False
+    return weights
+
+
+def as_covariances(name: str, value: Any, shape: Sequence[int | str]) -> Array:
+    """Symmetric positive semi-definite (…, 2, 2) matrices."""
+    covariances = as_array(name, value, (*shape, 2, 2))
+    scale = np.abs(covariances).max(axis=(-2, -1))
+    skew = np.abs(covariances[..., 0, 1] - covariances[..., 1, 0])
+    _refuse_first(name, skew > 1e-9 * scale, covariances, "a symmetric matrix")
+    symmetric = 0.5 * (covariances + np.swapaxes(covariances, -1, -2))
+    lowest = np.linalg.eigvalsh(symmetric)[..., 0]
+    _refuse_first(name, lowest < -1e-12 * scale, covariances, "a positive semi-definite matrix")
+    symmetric.flags.writeable = False
+    return symmetric
+
+
+def _refuse_first(name: str, bad: NDArray[np.bool_], values: Array, expected: str) -> None:
+    where = np.argwhere(bad)
+    if len(where):
+        index = tuple(int(i) for i in where[0])
+        raise InputError(f"{name}{_at(index)}: expected {expected}, got {values[index].tolist()}")
+
+
+def _show(shape: Sequence[int | str]) -> str:
+    return "(" + ", ".join(str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
+
+
+def _at(index: tuple[int, ...]) -> str:
+    return f"[{', '.join(map(str, index))}]" if index else ""

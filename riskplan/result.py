@@ -1,0 +1,50 @@
+"""What planning and auditing return: plans and reports, as frozen values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from checkers import TrajectoryRisk
+from checkers.validate import Array
+
+STATUSES = ("solved", "no_plan_found", "start_at_risk", "start_in_obstacle", "goal_in_obstacle", "goal_unreachable")
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A trajectory on the planning grid with its judged risk; or the reason why there is none.
+
+    Attributes:
+        status: "solved", or why not (see `STATUSES`).
+        times: (T,) from 0 [s]; empty without a plan.
+        poses: (T, 3) x, y [m], heading [rad].
+        speeds: (T,) [m/s].
+        risk: judged over `times`, start included; None without a plan or without agents.
+        marginals: per agent (T, K): the risk by step and mode, as judged; NaN where an agent's prediction starts later.
+        bound: the stated bound on `risk.total`, None if the least risk was asked for.
+        message: one line for a person.
+        settings: planner, checker, dependence, time limit, seed.
+        stats: counters and seconds: search, checks, judging, iterations, lowest_risk_seen.
+        search: (E, 5) edges of the tree or roadmap, x0, y0, x1, y1, time, for pictures; may be empty.
+    """
+
+    status: str
+    times: Array
+    poses: Array
+    speeds: Array
+    risk: TrajectoryRisk | None
+    marginals: tuple[Array, ...] = ()
+    bound: float | None = None
+    message: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    stats: Mapping[str, Any] = field(default_factory=dict)
+    search: Array = field(default_factory=lambda: np.zeros((0, 5)))
+
+    @property
+    def solved(self) -> bool:
+        """Whether there is a trajectory within the bound."""
+        return self.status == "solved"
