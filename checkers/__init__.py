@@ -1,23 +1,8 @@
-"""Collision primitives: the probability that a predicted agent enters the ego's shape at a pose."""
+"""Collision primitives: the probability that a predicted agent enters the ego's shape at a pose.
 
-from checkers.kind import Kind
-from checkers.prediction import GaussianMixturePrediction, MomentPrediction, Prediction, load_prediction
-from checkers.risk import DEPENDENCE, Risk, TrajectoryRisk, trajectory_risk
-from checkers.shapes import EgoCover, EgoEllipsoid, EgoShape
-from checkers.validate import InputError
+The value types are imported at once; the backends, which need numba, on first use.
+"""
 
-__all__ = [
-    "DEPENDENCE",
-    "EgoCover",
-    "EgoEllipsoid",
-    "EgoShape",
-    "GaussianMixturePrediction",
-    "InputError",
-    "Kind",
-    "MomentPrediction",
-    "Prediction",
-    "Risk",
-    "TrajectoryRisk",
-    "load_prediction",
-    "trajectory_risk",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,17 @@
+from .base import Checker as Checker
+from .base import CheckerInfo as CheckerInfo
+from .kind import Kind as Kind
+from .prediction import GaussianMixturePrediction as GaussianMixturePrediction
+from .prediction import MomentPrediction as MomentPrediction
+from .prediction import Prediction as Prediction
+from .prediction import load_prediction as load_prediction
+from .registry import checker as checker
+from .registry import checkers as checkers
+from .risk import DEPENDENCE as DEPENDENCE
+from .risk import Risk as Risk
+from .risk import TrajectoryRisk as TrajectoryRisk
+from .risk import trajectory_risk as trajectory_risk
+from .shapes import EgoCover as EgoCover
+from .shapes import EgoEllipsoid as EgoEllipsoid
+from .shapes import EgoShape as EgoShape
+from .validate import InputError as InputError
