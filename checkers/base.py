@@ -79,6 +79,16 @@ class Checker(ABC):
         """The kernel's own numbers."""
         return np.zeros(1)
 
+    @property
+    def search_options(self) -> Array:
+        """Options for the inner loop of a search, where `search_slack` of relative error buys speed."""
+        return self.options
+
+    @property
+    def search_slack(self) -> float:
+        """How far, relatively, the kernel may be below its stated value under `search_options`."""
+        return 0.0
+
     def modes(self, m: Array, s: Array, moments: Array, order: int) -> ArrayRisk:
         """Risk of whitened modes m (M, 2), s (M, 3) = s11, s12, s22, moments (M, (order+1)²); order 0: Gaussian."""
         raise InputError(f"{self.info.name}: has no array form")

@@ -9,11 +9,12 @@ from checkers.base import Checker, CheckerInfo
 from checkers.kernels import gaussian
 from checkers.kernels.abi import kernel
 from checkers.kind import Kind
+from checkers.validate import Array
 
 
 @kernel
 def _kernel(m1, m2, s11, s12, s22, moments, order, options, out):  # type: ignore[no-untyped-def]
-    value, error = gaussian.disc(m1, m2, s11, s12, s22)
+    value, error = gaussian.disc(m1, m2, s11, s12, s22, carray(options, 3))
     carray(out, 2)[0] = error
     return value
 
@@ -35,3 +36,18 @@ class Exact(Checker):
     def kernel(self) -> int:
         """Address of the compiled kernel."""
         return int(_kernel.address)
+
+    @property
+    def options(self) -> Array:
+        """Full precision."""
+        return gaussian.FULL
+
+    @property
+    def search_options(self) -> Array:
+        """Coarse precision."""
+        return gaussian.COARSE
+
+    @property
+    def search_slack(self) -> float:
+        """Relative error of the coarse precision."""
+        return 1e-4

@@ -6,7 +6,9 @@ import numba as nb
 import numpy as np
 
 _ROOT_HALF = math.sqrt(0.5)
-_CUT = 40.0  # e⁻⁴⁰: what is left out of the window, relative to the peak
+# rows of a precision: window where the integrand exceeds e^−cut of its peak, nodes in it at first, accepted change
+FULL = np.array([40.0, 14.0, 1e-7])
+COARSE = np.array([16.0, 7.0, 3e-3])  # relative error 1e-4: for searching, not for stating
 _X6, _W6 = np.polynomial.legendre.leggauss(6)
 
 
@@ -109,15 +111,15 @@ def _integrand(t, mx, my, sx, sy):
 
 
 @nb.njit(cache=True)
-def disc(m1, m2, s11, s12, s22):
-    """(P(|y| ≤ 1), absolute error).
+def disc(m1, m2, s11, s12, s22, precision):
+    """(P(|y| ≤ 1), absolute error); precision is FULL or COARSE.
 
     P = ∫ φ((sin t − mx)/sx)/sx [Φ((cos t − my)/sy) − Φ((−cos t − my)/sy)] cos t dt over |t| ≤ π/2, in the principal
     axes. The integrand continues to a smooth 2π-periodic function, even about ±π/2, so the trapezoid rule converges
     geometrically (Trefethen & Weideman 2014); all terms are positive, so relative accuracy is kept in the tails.
     Nodes outside the window where the integrand exceeds e⁻⁴⁰ of its peak are skipped; the step is halved until
-    two sums agree to 1e-7, and the finer one is then good to rounding. The error returned is that difference,
-    squared by convergence, plus a rounding allowance.
+    two sums agree to 1e-7, and the finer one is then good to rounding: each halving squares the relative error. The
+    error returned is that square, or the difference itself where halving ended early, plus a rounding allowance.
     """
     big, small, v1, v2 = eigen(s11, s12, s22)
     my, mx = abs(v1 * m1 + v2 * m2), abs(-v2 * m1 + v1 * m2)
@@ -142,11 +144,11 @@ def disc(m1, m2, s11, s12, s22):
         peak = math.asin(min(px, 1.0))
     else:
         peak = math.atan2(px, py)
-    level = 0.5 * d2 + _CUT
+    level = 0.5 * d2 + precision[0]
     first = min(9.0 * sx / max(math.cos(peak), math.sqrt(sx)), 1.0)
     low = _edge(peak, -0.5 * math.pi, first, mx, my, sx, sy, level)
     high = _edge(peak, 0.5 * math.pi, first, mx, my, sx, sy, level)
-    n = int(math.ceil(14.0 * math.pi / (high - low)))
+    n = int(math.ceil(precision[1] * math.pi / (high - low)))
     total = _grid_sum(n, 0.0, low, high, mx, my, sx, sy)
     scale = 1.0 / (sx * math.sqrt(2.0 * math.pi))
     change = np.inf
@@ -155,11 +157,13 @@ def disc(m1, m2, s11, s12, s22):
         change = abs(middle - total) / (middle + total) if middle + total > 0.0 else 0.0
         total += middle
         n *= 2
-        if change < 1e-7:
+        if change < precision[2]:
             break
     value = min(total * math.pi / n * scale, 1.0)
     rounding = 1e-12 + 4e-15 * d2
-    return value, value * (max(change, rounding) if change >= 1e-7 else rounding)
+    if change >= precision[2]:
+        return value, value * max(change, rounding)
+    return value, value * (change * change + rounding)
 
 
 @nb.njit(cache=True)

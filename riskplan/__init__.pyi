@@ -1,0 +1,10 @@
+from . import ompl as ompl
+from .planning import PlannerInfo as PlannerInfo
+from .planning import plan as plan
+from .planning import planners as planners
+from .result import Plan as Plan
+from .scene import Goal as Goal
+from .scene import GoalRegion as GoalRegion
+from .scene import KinematicCar as KinematicCar
+from .scene import Scenario as Scenario
+from .scene import State as State

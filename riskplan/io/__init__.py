@@ -1,0 +1,1 @@
+"""Scenes and results from and to files."""

@@ -1,0 +1,116 @@
+"""Charging risk to a motion: the hot loop of planning, over steps × agents × modes × pieces."""
+
+import math
+
+import numba as nb
+import numpy as np
+
+from checkers.kernels.abi import call_kernel
+from checkers.kernels.whiten import to_disc, to_ego, whiten_moments
+
+# columns of the agent rows; central moments follow
+MEAN_X, MEAN_Y, C11, C12, C22, WEIGHT, CULL, MOMENTS = range(8)
+
+
+@nb.njit(cache=True)
+def row_risk(address, options, order, row, pieces, first, last, x, y, cos, sin, negligible, scratch, out):
+    """Risk of one agent mode at one pose.
+
+    Where `negligible` > 0 (Gaussian modes under an exact backend) the half-space bound P ≤ Φ(−(|m| − 1)/σ_m), which
+    holds for every direction and hence for that of m, is charged instead wherever it is below `negligible`.
+    """
+    d1, d2, e11, e12, e22 = to_ego(
+        x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22]
+    )
+    value = 0.0
+    for p in range(first, last):
+        m1, m2, s11, s12, s22 = to_disc(pieces[p], d1, d2, e11, e12, e22)
+        if negligible > 0.0:
+            r2 = m1 * m1 + m2 * m2
+            if r2 > 1.0:
+                r = math.sqrt(r2)
+                spread = math.sqrt(2.0 * (m1 * m1 * s11 + 2.0 * m1 * m2 * s12 + m2 * m2 * s22) / r2)
+                bound = 0.5 * math.erfc((r - 1.0) / spread) if spread > 0.0 else 0.0
+                if bound <= negligible:
+                    value += bound
+                    continue
+        if order > 0:
+            whiten_moments(pieces[p], cos, sin, row[MOMENTS:], order, scratch)
+        value += call_kernel(
+            address, m1, m2, s11, s12, s22, scratch.ctypes.data, order, options.ctypes.data, out.ctypes.data
+        )
+    return min(value, 1.0)
+
+
+@nb.njit(cache=True)
+def charge(
+    address, options, order, rows, index, pieces, groups, additive, negligible, given, poses, first_step, before, limit, after
+):
+    """Add the risk of poses (S, 3) at grid steps first_step… to the accumulators; return the total so far.
+
+    A group is what accumulates by itself: one mode of an agent with persistent modes, or a whole agent with per-step
+    modes. after[g] = before[g] − Σ log(1 − r_g) (or + Σ r_g if `additive`), total = Σ_g outer_g (1 − e^−after[g]).
+    Stops, returning a total above `limit`, as soon as the limit is passed.
+
+    Args:
+        rows: (T, M, 7 + moments) of all agent modes on the grid, WEIGHT 0 where a mode is not charged.
+        index: (M, 3) group, first and last piece of each row.
+        groups: (G,) outer weights.
+        given: (S, M) risks worked out elsewhere, or (0, 0).
+    """
+    count = groups.shape[0]
+    step_risk = np.zeros(count)
+    after[:] = before
+    scratch, out = np.empty(max((order + 1) ** 2, 1)), np.empty(2)
+    total = total_of(groups, after, additive)
+    for s in range(poses.shape[0]):
+        step = first_step + s
+        x, y, heading = poses[s, 0], poses[s, 1], poses[s, 2]
+        cos, sin = math.cos(heading), math.sin(heading)
+        touched = False
+        for m in range(index.shape[0]):
+            row = rows[step, m]
+            weight = row[WEIGHT]
+            if weight == 0.0:
+                continue
+            if given.shape[0] > 0:
+                r = given[s, m]
+            else:
+                dx, dy = row[MEAN_X] - x, row[MEAN_Y] - y
+                if dx * dx + dy * dy > row[CULL]:
+                    continue
+                r = row_risk(
+                    address, options, order, row, pieces, index[m, 1], index[m, 2], x, y, cos, sin, negligible, scratch, out
+                )
+            g = index[m, 0]
+            step_risk[g] += weight * r
+            touched = True
+            # one mode alone may break the budget
+            if groups[g] * step_risk[g] > limit:
+                return np.inf
+        if not touched:
+            continue
+        for g in range(count):
+            r = step_risk[g]
+            if r > 0.0:
+                if additive:
+                    after[g] += r
+                else:
+                    after[g] -= math.log1p(-r) if r < 1.0 else -np.inf
+                step_risk[g] = 0.0
+            elif r != r:  # a backend that does not know must not pass for no risk
+                return np.inf
+        total = total_of(groups, after, additive)
+        if total > limit:
+            return total
+    return total
+
+
+@nb.njit(cache=True)
+def total_of(groups, accumulated, additive):
+    """Total risk of the accumulators: the sum over agents."""
+    total = 0.0
+    for g in range(groups.shape[0]):
+        if accumulated[g] > 0.0:
+            total += groups[g] * (accumulated[g] if additive else -math.expm1(-accumulated[g]))
+    return total

@@ -1,0 +1,127 @@
+"""The static world, compiled: does the body at a pose touch a boundary, is its centre allowed, is the goal reached."""
+
+import math
+
+import numba as nb
+import numpy as np
+
+
+@nb.njit(cache=True)
+def body_free(x, y, heading, half_length, half_width, bounds, origin, cell, cells_x, cells_y, start, items, segments, inside):
+    """Whether the rectangle touches no boundary segment and its centre is allowed.
+
+    Segments (E, 4) are bucketed in square cells: start (cells+1,), items; every segment that the body of a car centred
+    in a cell can touch is listed there. inside (cells,): whether the cell's middle is allowed; the centre's own side
+    follows from the parity of crossings between the two.
+    """
+    if x < bounds[0] or y < bounds[1] or x > bounds[2] or y > bounds[3]:
+        return False
+    if segments.shape[0] == 0:
+        return inside[0]
+    i = int((x - origin[0]) / cell)
+    j = int((y - origin[1]) / cell)
+    if i < 0 or j < 0 or i >= cells_x or j >= cells_y:
+        return False
+    index = i * cells_y + j
+    mx, my = origin[0] + (i + 0.5) * cell, origin[1] + (j + 0.5) * cell
+    cos, sin = math.cos(heading), math.sin(heading)
+    odd = False
+    for n in range(start[index], start[index + 1]):
+        s = segments[items[n]]
+        if _clips(s, x, y, cos, sin, half_length, half_width):
+            return False
+        if _crosses(x, y, mx, my, s):
+            odd = not odd
+    return inside[index] != odd
+
+
+@nb.njit(inline="always")
+def _clips(s, x, y, cos, sin, half_length, half_width):
+    """Liang & Barsky (1984): does the segment meet the rectangle?"""
+    ax, ay = s[0] - x, s[1] - y
+    bx, by = s[2] - x, s[3] - y
+    px, py = cos * ax + sin * ay, cos * ay - sin * ax
+    dx, dy = cos * bx + sin * by - px, cos * by - sin * bx - py
+    low, high = 0.0, 1.0
+    for axis in range(2):
+        p, d, half = (px, dx, half_length) if axis == 0 else (py, dy, half_width)
+        if d == 0.0:
+            if abs(p) > half:
+                return False
+        else:
+            first, second = (-half - p) / d, (half - p) / d
+            low = max(low, min(first, second))
+            high = min(high, max(first, second))
+            if low > high:
+                return False
+    return True
+
+
+@nb.njit(inline="always")
+def _crosses(ax, ay, bx, by, s):
+    """Proper crossing of a–b with the segment; half-open at its ends so that a shared vertex counts once."""
+    c = (bx - ax) * (s[1] - ay) - (by - ay) * (s[0] - ax)
+    d = (bx - ax) * (s[3] - ay) - (by - ay) * (s[2] - ax)
+    if (c > 0.0) == (d > 0.0):
+        return False
+    e = (s[2] - s[0]) * (ay - s[1]) - (s[3] - s[1]) * (ax - s[0])
+    f = (s[2] - s[0]) * (by - s[1]) - (s[3] - s[1]) * (bx - s[0])
+    return (e > 0.0) != (f > 0.0)
+
+
+@nb.njit(cache=True)
+def in_polygon(x, y, polygon):
+    """Even–odd rule for a polygon (N, 2)."""
+    inside = False
+    j = polygon.shape[0] - 1
+    for i in range(polygon.shape[0]):
+        yi, yj = polygon[i, 1], polygon[j, 1]
+        if (yi > y) != (yj > y) and x < (polygon[j, 0] - polygon[i, 0]) * (y - yi) / (yj - yi) + polygon[i, 0]:
+            inside = not inside
+        j = i
+    return inside
+
+
+@nb.njit(cache=True)
+def goal_region(x, y, heading, speed, start, vertices, boxes, terms):
+    """Index of a goal region that holds the state, or −1.
+
+    start (R+1,), vertices (V, 2), boxes (R, 4), terms (R, 4): heading (NaN: any), tolerance, lowest and highest speed.
+    """
+    for r in range(boxes.shape[0]):
+        b, t = boxes[r], terms[r]
+        if x < b[0] or y < b[1] or x > b[2] or y > b[3] or speed < t[2] or speed > t[3]:
+            continue
+        if not math.isnan(t[0]):
+            off = (heading - t[0] + math.pi) % (2.0 * math.pi) - math.pi
+            if abs(off) > t[1]:
+                continue
+        if in_polygon(x, y, vertices[start[r] : start[r + 1]]):
+            return r
+    return -1
+
+
+@nb.njit(cache=True)
+def bucket_segments(segments, origin, cell, cells_x, cells_y, reach):
+    """(start, items): per cell the segments whose bounding box, widened by `reach`, touches it."""
+    count = np.zeros(cells_x * cells_y + 1, np.int64)
+    for fill in range(2):
+        if fill:
+            count = np.cumsum(count)
+            items = np.empty(count[-1], np.int64)
+            cursor = count.copy()
+        for e in range(segments.shape[0]):
+            s = segments[e]
+            i0 = int((min(s[0], s[2]) - reach - origin[0]) // cell)
+            i1 = int((max(s[0], s[2]) + reach - origin[0]) // cell)
+            j0 = int((min(s[1], s[3]) - reach - origin[1]) // cell)
+            j1 = int((max(s[1], s[3]) + reach - origin[1]) // cell)
+            for i in range(max(i0, 0), min(i1, cells_x - 1) + 1):
+                for j in range(max(j0, 0), min(j1, cells_y - 1) + 1):
+                    index = i * cells_y + j
+                    if fill:
+                        items[cursor[index]] = e
+                        cursor[index] += 1
+                    else:
+                        count[index + 1] += 1
+    return count, items

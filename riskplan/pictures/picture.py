@@ -1,0 +1,247 @@
+"""What there is to see of a scenario and a plan: the one model that the 3-D page and the top view draw.
+
+Coordinates are local: the start of the ego is the origin, so that map coordinates of 1e5 m survive float32.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from checkers import EgoShape, Kind
+from checkers.validate import Array
+from riskplan.pictures import geometry, palette
+from riskplan.result import Plan
+from riskplan.scene import Agent, Scenario
+
+SIGMAS = 2.0
+_MOST_EDGES = 20_000
+_CLAIM = {Kind.EXACT: "", Kind.UPPER_BOUND: "≤ ", Kind.ESTIMATE: "≈ "}
+
+
+@dataclass(frozen=True, eq=False)
+class AgentView:
+    """One agent.
+
+    Attributes:
+        name, colour, length, width: label, "#rrggbb", size [m].
+        track: (T, 3) poses of the most likely mode at `Picture.times`.
+        weights, means, covariances: (S, K), (S, K, 2), (S, K, 2, 2) of the shown steps of the prediction.
+    """
+
+    name: str
+    colour: str
+    length: float
+    width: float
+    track: Array
+    weights: Array
+    means: Array
+    covariances: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Everything to draw, in local metres.
+
+    Attributes:
+        title, facts: heading and (label, value) rows of the legend.
+        times: (T,) of the animation [s].
+        ego: (T, 3) poses; at rest without a plan.
+        ego_size: length, width [m].
+        ego_rings: outlines (N, 2) in the ego frame of what agents' centres must stay out of.
+        path: (P, 3) poses of the plan; empty without one.
+        path_risk: (P,) risk of each step.
+        so_far: (T,) risk up to each time, or None if the plan does not tell.
+        tree: (E, 5) edges of the search x0, y0, x1, y1, time; at most 20,000, evenly picked.
+        road, edges, dividers: polygons (N, 2), closed lines, lines to be dashed.
+        obstacles, goals: polygons (N, 2).
+        agents: one view each.
+        limits: ends of the legend's scales: risk of a step, weight of a mode, time of the search [s].
+        window: x_min, y_min, x_max, y_max of what matters.
+    """
+
+    title: str
+    facts: tuple[tuple[str, str], ...]
+    times: Array
+    ego: Array
+    ego_size: tuple[float, float]
+    ego_rings: tuple[Array, ...]
+    path: Array
+    path_risk: Array
+    so_far: Array | None
+    tree: Array
+    road: tuple[Array, ...]
+    edges: tuple[Array, ...]
+    dividers: tuple[Array, ...]
+    obstacles: tuple[Array, ...]
+    goals: tuple[Array, ...]
+    agents: tuple[AgentView, ...]
+    limits: tuple[float, float, float]
+    window: tuple[float, float, float, float]
+
+
+def picture(scenario: Scenario, plan: Plan | None = None, title: str | None = None) -> Picture:
+    """Collect what there is to see; `plan` may be None or unsolved."""
+    start = scenario.start
+    origin = np.array([start.x, start.y])
+    planned = plan is not None and len(plan.poses) > 0
+    path = np.zeros((0, 3))
+    if plan is not None and planned:
+        path = np.column_stack([plan.poses[:, :2] - origin, np.unwrap(plan.poses[:, 2])])
+    times = plan.times if plan is not None and len(path) > 1 else scenario.times
+    ego = path if len(path) > 1 else np.tile([0.0, 0.0, start.heading], (len(times), 1))
+    risk = plan.risk if plan is not None else None
+    path_risk = np.nan_to_num(risk.per_step) if risk is not None else np.zeros(len(path))
+    end = float(scenario.times[-1])
+    agents = tuple(
+        _agent_view(agent, palette.AGENTS[i % len(palette.AGENTS)], times, origin, end)
+        for i, agent in enumerate(scenario.agents)
+    )
+    goals = tuple(region.polygon - origin for region in scenario.goal.regions)
+    lanes = [lane - origin for lane in scenario.lanes]
+    road = _road(scenario, lanes, origin)
+    tree = _tree(plan, origin)
+    rings = _ego_rings(scenario)
+    return Picture(
+        title=title if title is not None else scenario.name or "riskplan",
+        facts=_facts(plan),
+        times=times,
+        ego=ego,
+        ego_size=(scenario.vehicle.length, scenario.vehicle.width),
+        ego_rings=rings,
+        path=path,
+        path_risk=path_risk,
+        so_far=_so_far(scenario, plan),
+        tree=tree,
+        road=road,
+        edges=tuple(geometry.union_rings(road, inset=0.5)),
+        dividers=tuple(geometry.dividers(lanes)),
+        obstacles=tuple(polygon - origin for polygon in scenario.obstacles),
+        goals=goals,
+        agents=agents,
+        limits=(
+            _risk_limit(plan, path_risk),
+            palette.round_up(max([float(a.weights.max()) for a in agents], default=1.0)),
+            float(tree[:, 4].max()) if len(tree) else float(times[-1]),
+        ),
+        window=_window(ego, rings, goals, agents),
+    )
+
+
+def _agent_view(agent: Agent, colour: str, times: Array, origin: Array, end: float) -> AgentView:
+    likely = int(agent.step_weights.sum(axis=0).argmax())
+    at = agent.means[:, likely] - origin
+    heading = _course(at) if agent.headings is None else np.unwrap(agent.headings[:, likely])
+    track = np.column_stack([np.interp(times, agent.times, column) for column in (*at.T, heading)])
+    shown = np.flatnonzero(agent.times <= end + 1e-6)
+    # some thirty ellipses a mode are enough to see it move, and few enough to see through
+    shown = shown[:: max(1, -(-len(shown) // 30))]
+    return AgentView(
+        name=agent.name,
+        colour=colour,
+        length=agent.length or 4.5,
+        width=agent.width or 1.8,
+        track=track,
+        weights=agent.step_weights[shown],
+        means=agent.means[shown] - origin,
+        covariances=agent.covariances[shown],
+    )
+
+
+def _course(points: Array) -> Array:
+    """(T,) direction of motion; held while the point rests, 0 if it never moves."""
+    if len(points) < 2:
+        return np.zeros(len(points))
+    step = np.gradient(points, axis=0)
+    moving = np.flatnonzero(np.linalg.norm(step, axis=-1) > 1e-3)
+    if not len(moving):
+        return np.zeros(len(points))
+    angle = np.unwrap(np.arctan2(step[moving, 1], step[moving, 0]))
+    return np.asarray(np.interp(np.arange(len(points)), moving, angle))
+
+
+class _Point(NamedTuple):
+    """An agent of unknown size, where there is none to draw the ego's risk shape for."""
+
+    length: float | None = None
+    width: float | None = None
+
+
+def _ego_rings(scenario: Scenario) -> tuple[Array, ...]:
+    shape: EgoShape | None = scenario.ego
+    if shape is None:
+        return ()
+    rings = []
+    for body in scenario.agents or (_Point(),):
+        centres, forms = shape.pieces(body)
+        rings += list(geometry.ellipses(centres, np.asarray(np.linalg.inv(forms)), 1.0, n=48))
+    return tuple(geometry.union_rings(rings))
+
+
+def _road(scenario: Scenario, lanes: list[Array], origin: Array) -> tuple[Array, ...]:
+    if scenario.drivable:
+        return tuple(polygon - origin for polygon in scenario.drivable)
+    if lanes:
+        return tuple(geometry.buffered(lane, 2.3) for lane in lanes)
+    x0, y0, x1, y1 = scenario.bounds
+    return (np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) - origin,)
+
+
+def _tree(plan: Plan | None, origin: Array) -> Array:
+    if plan is None or not len(plan.search):
+        return np.zeros((0, 5))
+    edges = plan.search[:: -(-len(plan.search) // _MOST_EDGES)]
+    return np.asarray(edges - [*origin, *origin, 0.0])
+
+
+def _risk_limit(plan: Plan | None, per_step: Array) -> float:
+    """Red is the riskiest step, but no less than an even share of the bound: a harmless plan stays green."""
+    share = (plan.bound or 0.0) / max(len(per_step), 1) if plan is not None else 0.0
+    return palette.round_up(max(float(per_step.max(initial=0.0)), share, 1e-6))
+
+
+def _facts(plan: Plan | None) -> tuple[tuple[str, str], ...]:
+    if plan is None:
+        return ()
+    facts = [("status", plan.status.replace("_", " "))]
+    if plan.bound is not None:
+        facts.append(("risk bound", palette.number(plan.bound)))
+    if plan.risk is not None:
+        facts.append(("total risk", _CLAIM[plan.risk.kind] + palette.number(float(plan.risk.total))))
+    facts += [(key, str(plan.settings[key])) for key in ("planner", "checker") if key in plan.settings]
+    return tuple(facts)
+
+
+def _so_far(scenario: Scenario, plan: Plan | None) -> Array | None:
+    """(T,) risk up to each step, independent in time; None unless it ends at the plan's own total."""
+    if plan is None or plan.risk is None or len(plan.marginals) != len(scenario.agents):
+        return None
+    total = np.zeros(len(plan.times))
+    for agent, marginal in zip(scenario.agents, plan.marginals, strict=True):
+        by_mode = np.clip(np.nan_to_num(marginal), 0.0, 1.0 - 1e-16)
+        if agent.weights.ndim == 2:
+            weights = np.stack([np.interp(plan.times, agent.times, w) for w in agent.weights.T], axis=-1)
+        else:
+            weights = agent.weights
+        if agent.modes == "persistent":
+            total += -np.expm1(np.cumsum(np.log1p(-by_mode), axis=0)) @ weights
+        else:
+            total += -np.expm1(np.cumsum(np.log1p(-(weights * by_mode).sum(axis=-1))))
+    total = np.minimum(total, 1.0)
+    return total if np.isclose(total[-1], float(plan.risk.total), rtol=1e-6, atol=1e-15) else None
+
+
+def _window(
+    ego: Array, rings: tuple[Array, ...], goals: tuple[Array, ...], agents: tuple[AgentView, ...]
+) -> tuple[float, float, float, float]:
+    """Box around the ego's way with its risk shape, the goal, and those agents that come near them."""
+    ends = [geometry.place(ring, pose) for ring in rings for pose in (ego[0], ego[-1])]
+    core = np.concatenate([ego[:, :2], *ends, *(goal.mean(axis=0, keepdims=True) for goal in goals)])
+    low, high = core.min(axis=0) - 10.0, core.max(axis=0) + 10.0
+    others = [agent.track[:, :2] for agent in agents]
+    near = [points[((points >= low) & (points <= high)).all(axis=-1)] for points in others]
+    points = np.concatenate([core, *near])
+    (x0, y0), (x1, y1) = points.min(axis=0) - 3.0, points.max(axis=0) + 3.0
+    return float(x0), float(y0), float(x1), float(y1)

@@ -1,0 +1,252 @@
+"""The top view in matplotlib: stills and animations. Figures of its own, no pyplot, so no shared state."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from matplotlib.text import Text
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from checkers.validate import Array
+from riskplan.pictures import geometry, palette
+from riskplan.pictures.page import legend
+from riskplan.pictures.picture import SIGMAS, AgentView, Picture
+
+Pixels = NDArray[np.uint8]
+
+_DPI = 100
+_HEAD = 92  # pixels above the view, for title and legend
+_MOST_FRAMES = 60
+
+
+def png(pic: Picture, size: tuple[int, int] | None = None) -> bytes:
+    """A still at time 0. `size` in pixels (width, height); None: 1600 wide, as high as the scene wants."""
+    sheet = _sheet(pic, size or _natural(pic, 1600))
+    _still(sheet, pic)
+    _Movers(sheet, pic).show(0)
+    sheet.canvas.draw()
+    out = io.BytesIO()
+    Image.fromarray(_pixels(sheet)).convert("RGB").save(out, "PNG")
+    return out.getvalue()
+
+
+def gif(pic: Picture, size: tuple[int, int] | None = None) -> bytes:
+    """The same, moving through `Picture.times` in real time, in at most 60 frames. `size` None: 960 wide."""
+    sheet = _sheet(pic, size or _natural(pic, 960))
+    _still(sheet, pic)
+    sheet.canvas.draw()
+    ground = sheet.canvas.copy_from_bbox(sheet.figure.bbox)
+    movers = _Movers(sheet, pic)
+    last = len(pic.times) - 1
+    steps = np.linspace(0, last, min(last + 1, _MOST_FRAMES)).round().astype(int)
+    frames = []
+    for step in steps:
+        sheet.canvas.restore_region(ground)
+        movers.show(int(step))
+        movers.blit()
+        frames.append(_pixels(sheet))
+    paletted = _paletted(frames)
+    gaps = np.diff(pic.times[steps], append=pic.times[-1] + 1.0)  # the last one rests for a second
+    out = io.BytesIO()
+    paletted[0].save(
+        out,
+        "GIF",
+        save_all=True,
+        append_images=paletted[1:],
+        duration=[max(20, round(100 * float(gap)) * 10) for gap in gaps],
+        loop=0,
+    )
+    return out.getvalue()
+
+
+def _paletted(frames: Sequence[Pixels]) -> list[Image.Image]:
+    """Frames (H, W, 4) with one common palette: every colour becomes its nearest.
+
+    A palette of a frame's own would blur the ramps, dithering would flicker, and Pillow's search for the
+    nearest colour is not exact: flat areas would come out in two shades.
+    """
+    plain = (palette.GROUND, palette.ASPHALT, palette.LINE, palette.INK, palette.GLASS, palette.EGO)
+    areas = [palette.rgb(colour)[None] for colour in (*plain, *palette.AGENTS)]
+    scales = (palette.RISK, palette.WEIGHT, palette.TIME)
+    ramps = [palette.ramp(scale, np.linspace(0, 1, 24)) for scale in scales]
+    fixed = (np.concatenate(areas + ramps) * 255).round().astype(int)
+    first = Image.fromarray(frames[0]).convert("RGB")
+    mixed = first.quantize(256 - len(fixed), Image.Quantize.MEDIANCUT).getpalette() or []
+    colours = np.concatenate([fixed, np.reshape(mixed, (-1, 3))])[:256]
+    nearest = cKDTree(colours)
+    table = np.full(1 << 24, -1, dtype=np.int16)
+    codes = [frame.view("<u4")[..., 0] & 0xFFFFFF for frame in frames]
+    index = np.zeros(codes[0].shape, dtype=np.uint8)
+    images = []
+    for i, code in enumerate(codes):
+        moved = code != codes[i - 1] if i else np.ones_like(code, dtype=bool)
+        wanted = code[moved]
+        new = np.unique(wanted[table[wanted] < 0])
+        if len(new):
+            table[new] = nearest.query(np.column_stack([new & 255, new >> 8 & 255, new >> 16]))[1]
+        index[moved] = table[wanted]
+        images.append(Image.fromarray(index.copy()))
+        images[-1].putpalette(colours.ravel().tolist())
+    return images
+
+
+class _Sheet(NamedTuple):
+    """A figure, the axes of the view in it, in metres, and its canvas (untyped in matplotlib)."""
+
+    figure: Figure
+    axes: Axes
+    canvas: Any
+
+
+class _Movers:
+    """What changes with time: the bodies, the ego's risk shape and the readout."""
+
+    def __init__(self, sheet: _Sheet, pic: Picture) -> None:
+        self._sheet, self._pic = sheet, pic
+        self._patches: list[tuple[Polygon, Array, Array]] = []  # patch, outline in the body frame, track
+        for agent in pic.agents:
+            self._car(agent.track, agent.length, agent.width, agent.colour)
+        for ring in pic.ego_rings:
+            fill = np.array([*palette.rgb(palette.EGO), 0.28])
+            self._add(ring, pic.ego, facecolor=fill, edgecolor="#8fc0ff", linewidth=1.0, zorder=8)
+        self._car(pic.ego, *pic.ego_size, palette.EGO)
+        size = 13 if sheet.figure.get_figwidth() >= 12 else 10
+        self._readout: Text = sheet.figure.text(
+            0.988, 0.03, "", ha="right", va="bottom", color=palette.INK, fontsize=size
+        )
+        self._readout.set_bbox({"facecolor": palette.GROUND, "edgecolor": "none", "alpha": 0.85, "pad": 4.0})
+
+    def show(self, step: int) -> None:
+        """Move everything to `Picture.times[step]`."""
+        for patch, outline, track in self._patches:
+            patch.set_xy(geometry.place(outline, track[step]))
+        risk = self._pic.so_far
+        text = "" if risk is None else f"    risk so far {palette.number(float(risk[step]))}"
+        self._readout.set_text(f"t = {self._pic.times[step]:.1f} s{text}")
+
+    def blit(self) -> None:
+        """Draw the moving artists only, onto what is there."""
+        for patch, _, _ in self._patches:
+            self._sheet.axes.draw_artist(patch)
+        self._sheet.figure.draw_artist(self._readout)
+
+    def _car(self, track: Array, length: float, width: float, colour: str) -> None:
+        body = geometry.rectangle(length, width)
+        self._add(body, track, facecolor=colour, edgecolor="#ffffff", linewidth=1.2, zorder=9)
+        cabin = geometry.rectangle(0.48 * length, 0.76 * width) - [0.06 * length, 0.0]
+        self._add(cabin, track, facecolor=palette.GLASS, edgecolor="none", zorder=10)
+
+    def _add(self, outline: Array, track: Array, **style: Any) -> None:
+        patch = Polygon(geometry.place(outline, track[0]), closed=True, **style)
+        self._sheet.axes.add_patch(patch)
+        self._patches.append((patch, outline, track))
+
+
+def _natural(pic: Picture, width: int) -> tuple[int, int]:
+    x0, y0, x1, y1 = pic.window
+    share = min(max((y1 - y0) / (x1 - x0), 0.16), 0.7)
+    return width, _HEAD + round(width * share) // 2 * 2
+
+
+def _pixels(sheet: _Sheet) -> Pixels:
+    """(H, W, 4), a copy: the canvas goes on changing."""
+    return np.array(sheet.canvas.buffer_rgba(), dtype=np.uint8)
+
+
+def _sheet(pic: Picture, size: tuple[int, int]) -> _Sheet:
+    """A figure of exactly `size` pixels with the legend on top and the view, equally scaled, below it."""
+    width, height = size
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=palette.GROUND)
+    canvas = FigureCanvasAgg(figure)
+    view = height - _HEAD
+    axes = figure.add_axes((0.0, 0.0, 1.0, view / height))
+    axes.set_axis_off()
+    x0, y0, x1, y1 = pic.window
+    scale = max((x1 - x0) / width, (y1 - y0) / view)  # metres a pixel
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    axes.set_xlim(x - scale * width / 2, x + scale * width / 2)
+    axes.set_ylim(y - scale * view / 2, y + scale * view / 2)
+    _legend(figure, pic, width, height)
+    return _Sheet(figure, axes, canvas)
+
+
+def _legend(figure: Figure, pic: Picture, width: int, height: int) -> None:
+    """Title, facts and colour scales in the strip above the view; places in pixels from the top left."""
+
+    def text(x: float, y: float, label: str, size: float, colour: str, **style: Any) -> Text:
+        style |= {"fontsize": size, "color": colour, "va": "center"}
+        return figure.text(x / width, 1 - y / height, label, **style)
+
+    margin = 0.014 * width
+    small = 9.5 if width >= 1200 else 7.5
+    text(margin, 20, pic.title, 1.3 * small, palette.INK, weight="bold")
+    facts = "     ".join(f"{key} {value}" for key, value in pic.facts)
+    text(width - margin, 20, facts, 1.1 * small, palette.INK, ha="right")
+    column = (width - 2 * margin) / 3
+    for i, (label, ramp, low, high) in enumerate(legend(pic)):
+        left = margin + i * column
+        text(left, 50, label, small, palette.INK)
+        left, right = left + 0.39 * column, left + 0.92 * column
+        bar = figure.add_axes((left / width, 1 - 56 / height, (right - left) / width, 12 / height))
+        bar.set_axis_off()
+        bar.imshow(palette.ramp(ramp, np.linspace(0, 1, 256))[None], aspect="auto", interpolation="bilinear")
+        text(left, 70, low, small - 1, palette.FAINT_INK)
+        text(right, 70, high, small - 1, palette.FAINT_INK, ha="right")
+
+
+def _still(sheet: _Sheet, pic: Picture) -> None:
+    """Everything that does not move."""
+    goal = palette.rgb(palette.GOAL)
+    cuts = [dash for line in pic.dividers for dash in geometry.dashes(line)]
+    tree = palette.ramp(palette.TIME, pic.tree[:, 4] / max(pic.limits[2], 1e-9))
+    _areas(sheet, pic.road, 0, facecolors=palette.ASPHALT, edgecolors=palette.ASPHALT)
+    _lines(sheet, pic.edges, 1, colors=palette.LINE, linewidths=1.6)
+    _lines(sheet, cuts, 1, colors=palette.LINE, linewidths=1.4)
+    _areas(sheet, pic.goals, 2, facecolors=[(*goal, 0.25)], edgecolors=[(*goal, 0.9)])
+    faint = palette.tree_alpha(len(tree))
+    _lines(sheet, pic.tree[:, :4].reshape(-1, 2, 2), 3, colors=tree, linewidths=0.6, alpha=faint)
+    for agent in pic.agents:
+        _modes(sheet, agent, pic.limits[1])
+    if len(pic.path) > 1:
+        _ribbon(sheet, pic)
+    _areas(sheet, pic.obstacles, 7, facecolors=palette.OBSTACLE, edgecolors="#6c7681")
+
+
+def _modes(sheet: _Sheet, agent: AgentView, limit: float) -> None:
+    rings = geometry.ellipses(agent.means, agent.covariances, SIGMAS)  # (S, K, n, 2)
+    n = rings.shape[2]
+    tint = palette.ramp(palette.WEIGHT, agent.weights / limit)
+    fill = np.concatenate([tint, palette.fill_alpha(agent.weights)[..., None]], axis=-1)
+    _areas(sheet, rings.reshape(-1, n, 2), 4, facecolors=fill.reshape(-1, 4), edgecolors="none")
+    rim, edge = rings[::5].reshape(-1, n, 2), tint[::5].reshape(-1, 3)
+    _areas(sheet, rim, 5, facecolors="none", edgecolors=edge, linewidths=1.3, alpha=0.85)
+
+
+def _ribbon(sheet: _Sheet, pic: Picture) -> None:
+    """The plan in pieces from half-way point to half-way point, in the colour of the step between them."""
+    at = pic.path[:, :2]
+    middle = (at[1:] + at[:-1]) / 2
+    pieces = np.stack([np.concatenate([at[:1], middle]), at, np.concatenate([middle, at[-1:]])], axis=1)
+    left, right = sheet.axes.get_xlim()
+    width = max(0.7 * sheet.figure.get_figwidth() * 72 / (right - left), 2.0)  # 0.7 m, in points
+    _lines(sheet, at[None], 6, colors=palette.CASING, linewidths=1.35 * width, capstyle="round")
+    colours = palette.ramp(palette.RISK, pic.path_risk / pic.limits[0])
+    _lines(sheet, pieces, 6.1, colors=colours, linewidths=width, capstyle="round")
+
+
+def _areas(sheet: _Sheet, polygons: Iterable[Array], zorder: float, **style: Any) -> None:
+    sheet.axes.add_collection(PolyCollection(list(polygons), zorder=zorder, **style), autolim=False)
+
+
+def _lines(sheet: _Sheet, lines: Iterable[Array], zorder: float, **style: Any) -> None:
+    sheet.axes.add_collection(LineCollection(list(lines), zorder=zorder, **style), autolim=False)
