@@ -58,17 +58,25 @@ class Problem:
         """Risk at the start."""
         return self._start[1]
 
-    def sample_goal(self, rng: np.random.Generator) -> tuple[float, float, float, float, float]:
-        """x, y, heading, speed, time drawn from a goal region's box: a direction to pull, not a promise."""
+    def goal_samples(self, rng: np.random.Generator, count: int) -> Array:
+        """(count, 5) x, y, heading, speed, time in the goal regions' boxes: directions to pull, not promises."""
         s = self.scenario
-        region = s.goal.regions[int(rng.integers(len(s.goal.regions)))]
-        low, high = region.polygon.min(axis=0), region.polygon.max(axis=0)
-        x, y = rng.uniform(low, high)
-        heading = rng.uniform(-np.pi, np.pi) if region.heading is None else region.heading
-        top = min(region.speed[1], max(s.vehicle.max_speed, s.start.speed))
-        speed = rng.uniform(min(region.speed[0], top), top)
-        time = rng.uniform(self.goal.earliest, max(self.goal.latest, self.goal.earliest)) * s.time_step
-        return float(x), float(y), float((heading + np.pi) % (2 * np.pi) - np.pi), float(speed), float(time)
+        regions = [s.goal.regions[i] for i in rng.integers(len(s.goal.regions), size=count)]
+        low = np.array([r.polygon.min(axis=0) for r in regions])
+        high = np.array([r.polygon.max(axis=0) for r in regions])
+        any_heading = rng.uniform(-np.pi, np.pi, count)
+        heading = np.array([a if r.heading is None else r.heading for r, a in zip(regions, any_heading, strict=True)])
+        top = max(s.vehicle.max_speed, s.start.speed)
+        slow, fast = (np.minimum([r.speed[i] for r in regions], top) for i in range(2))
+        steps = rng.uniform(self.goal.earliest, max(self.goal.latest, self.goal.earliest), count)
+        return np.column_stack(
+            [
+                rng.uniform(low, high),
+                (heading + np.pi) % (2 * np.pi) - np.pi,
+                rng.uniform(slow, fast),
+                steps * s.time_step,
+            ]
+        )
 
 
 class Budget:

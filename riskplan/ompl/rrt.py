@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -171,7 +172,9 @@ class _Goal(ob.GoalSampleableRegion):
 
     def __init__(self, si: Any, problem: Problem, rng: np.random.Generator, done: Callable[[], bool]) -> None:
         super().__init__(si)
-        self._problem, self._rng, self._done = problem, rng, done
+        weights = np.array([1.0, 1.0, _HEADING, _SPEED, _TIME])
+        self._samples = cycle((problem.goal_samples(rng, 512) * weights).tolist())
+        self._done = done
 
     def isSatisfied(self, state: Any, distance: Any = None) -> bool:  # noqa: N802, ARG002  OMPL's name
         return self._done()
@@ -180,9 +183,8 @@ class _Goal(ob.GoalSampleableRegion):
         return 0.0 if self._done() else 1.0
 
     def sampleGoal(self, state: Any) -> None:  # noqa: N802
-        x, y, heading, speed, time = self._problem.sample_goal(self._rng)
-        state[0], state[1], state[2] = x, y, heading * _HEADING
-        state[3], state[4], state[5] = speed * _SPEED, time * _TIME, 0.0
+        state[0], state[1], state[2], state[3], state[4] = next(self._samples)
+        state[5] = 0.0
 
     def maxSampleCount(self) -> int:  # noqa: N802
         return 1_000_000

@@ -94,11 +94,10 @@ class RiskMotionValidator(ob.MotionValidator):
         pose_time: PoseTime | None = None,
         static: Callable[[float, float, float], bool] | None = None,
         times: Array | None = None,
-        evaluator: RiskEvaluator | None = None,
     ) -> None:
         super().__init__(si)
         self.step_bound = _bound(step_bound)
-        self.evaluator = evaluator or _evaluator(agents, ego, checker, times)
+        self.evaluator = _evaluator(agents, ego, checker, times)
         self._space = si.getStateSpace()
         self._pose_time = pose_time or pose_time_of(self._space)
         self._static = static

@@ -1,0 +1,362 @@
+"""`prm`: a roadmap sampled by OMPL, searched in time under the risk budget."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from checkers import InputError, checker
+from checkers.validate import Array, as_array, as_scalar
+from riskplan.kernels.car import pack_limits
+from riskplan.kernels.roadmap import connect, expand, traverse
+from riskplan.ompl.sampling import LaneSampler
+from riskplan.ompl.validity import RiskStateValidityChecker
+from riskplan.scene import Scenario
+from riskplan.search import Budget, Problem, SearchResult
+from riskplan.world import StaticWorld, lane_segments
+
+_EDGES = 16  # edges out of a vertex
+_SAME_SPEED = 1.0  # labels at one vertex and step compete within this [m/s]
+_KEPT = 4  # labels kept per vertex, step and speed
+
+
+@dataclass(frozen=True, eq=False)
+class Roadmap:
+    """Poses and directed Dubins edges of a static world; agents do not enter, so it serves every prediction.
+
+    Attributes:
+        vertices: (V, 3) x, y, heading.
+        ends: (E, 2) int source and target of the edges.
+        curves: (E, 6) segment lengths [m] and curvatures [1/m].
+        lengths: (E,) [m].
+        radius: turning radius of the edges [m].
+        longest: longest edge [m].
+    """
+
+    vertices: Array
+    ends: np.ndarray
+    curves: Array
+    lengths: Array
+    radius: float
+    longest: float
+
+    @classmethod
+    def of(cls, vertices: Array, radius: float, longest: float) -> Roadmap:
+        """Connect the vertices."""
+        vertices = as_array("vertices", vertices, ("V", 3))
+        return cls(vertices, *connect(vertices, vertices, radius, 2.0, longest, _EDGES), radius, longest)
+
+    @classmethod
+    def build(cls, scenario: Scenario, size: int = 1000, seed: int = 0) -> Roadmap:
+        """Sample `size` vertices in the scenario's static world and connect them."""
+        sampler = _Sampler(scenario, StaticWorld(scenario), seed)
+        return cls.of(sampler.grow(size), *_edge_scale(scenario))
+
+    def save(self, path: str | Path) -> None:
+        """Write to an `.npz` (no pickle); edges follow from the vertices and are made anew on loading."""
+        with open(path, "wb") as file:
+            np.savez(file, allow_pickle=False, vertices=self.vertices, radius=self.radius, longest=self.longest)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Roadmap:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: if the file is not a roadmap.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                vertices, radius, longest = data["vertices"], float(data["radius"]), float(data["longest"])
+        except FileNotFoundError:
+            raise InputError(f"{path}: no such file") from None
+        except (ValueError, OSError, EOFError, KeyError) as error:
+            raise InputError(f"{path}: not a roadmap: {error}") from None
+        as_scalar("radius", radius, low=0.0, strict=True)
+        return cls.of(vertices, radius, longest)
+
+
+@dataclass(frozen=True)
+class Prm:
+    """Probabilistic roadmap (Kavraki et al. 1996) with a time-expanded label search.
+
+    OMPL's PRM samples the vertices; its undirected edges are not used. A label is a vertex at a grid step with a speed
+    and the accumulated risk per agent and mode; an edge lasts a whole number of steps at constant acceleration. One
+    label replaces another at the same vertex, step and speed if no component of its risk is higher. The roadmap is
+    made larger while the search fails and time is left.
+
+    Attributes:
+        size: vertices at first.
+        roadmap: one made earlier; None: a new one for each plan.
+    """
+
+    size: int = 300
+    roadmap: Roadmap | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.size, int) or isinstance(self.size, bool) or self.size < 2:
+            raise InputError(f"prm: size: expected an integer >= 2, got {self.size!r}")
+        if self.roadmap is not None and not isinstance(self.roadmap, Roadmap):
+            raise InputError(f"prm: roadmap: expected a Roadmap, got {type(self.roadmap).__name__}")
+
+    def search(self, problem: Problem, budget: Budget, seed: int) -> SearchResult:
+        """Search the roadmap; enlarge and search again until the goal is reached in budget, or time is up."""
+        rng = np.random.default_rng(seed)
+        size, roadmap, sampler = self.size, self.roadmap, None
+        best: SearchResult | None = None
+        counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
+        lowest = np.inf
+        while True:
+            if roadmap is None:
+                sampler = sampler or _Sampler(problem.scenario, problem.world, seed)
+                roadmap = Roadmap.of(sampler.grow(size), *_edge_scale(problem.scenario))
+            query = _Query(problem, budget, roadmap, rng)
+            result = query.run()
+            lowest = min(lowest, result.lowest_seen)
+            for key, value in result.counters.items():
+                counters[key] = value if key in ("vertices", "edges") else counters[key] + value
+            counters["roadmaps"] += 1
+            if result.states is not None or best is None:
+                best = result
+            if budget.expired() or (best.states is not None and budget.bound is not None):
+                break
+            size, roadmap = 2 * max(size, len(roadmap.vertices)), None
+            if size > 100_000:
+                break
+        return SearchResult(best.states, lowest, counters, best.edges)
+
+
+class _Sampler:
+    """Vertices from OMPL's PRM, whose own edges are switched off."""
+
+    def __init__(self, scenario: Scenario, world: StaticWorld, seed: int) -> None:
+        ou.setLogLevel(ou.LOG_NONE)
+        ou.RNG.setSeed(seed + 1)
+        s = scenario
+        space = ob.SE2StateSpace()
+        bounds = ob.RealVectorBounds(2)
+        for i in range(2):
+            bounds.setLow(i, float(s.bounds[i]))
+            bounds.setHigh(i, float(s.bounds[i + 2]))
+        space.setBounds(bounds)
+        si = ob.SpaceInformation(space)
+        si.setStateValidityChecker(
+            RiskStateValidityChecker(
+                si,
+                (),
+                s.ego,
+                checker("exact"),
+                static=world.free,
+                pose_time=lambda state: (state.getX(), state.getY(), state.getYaw(), 0.0),
+            )
+        )
+        si.setMotionValidator(_AnyMotion(si))
+        lanes, box, rng = lane_segments(s), np.array(s.bounds), np.random.default_rng(seed)
+        si.setValidStateSamplerAllocator(lambda info: LaneSampler(info, lanes, box, rng, world.free))
+        si.setup()
+        self._pdef = ob.ProblemDefinition(si)  # PRM segfaults without one
+        self._prm = og.PRM(si)
+        self._prm.setProblemDefinition(self._pdef)
+        self._prm.setup()
+        self._si = si
+
+    def grow(self, size: int) -> Array:
+        """Sample until there are `size` vertices (fewer if next to nothing is free); (V, 3)."""
+        prm, tries = self._prm, [0]
+
+        def enough() -> bool:
+            tries[0] += 1
+            return bool(prm.milestoneCount() >= size or tries[0] > 50 * size)
+
+        prm.growRoadmapPtc(ob.PlannerTerminationCondition(enough))
+        data = ob.PlannerData(self._si)
+        prm.getPlannerData(data)
+        out = np.empty((data.numVertices(), 3))
+        for i in range(len(out)):
+            state = data.getVertex(i).getState()
+            out[i] = state.getX(), state.getY(), state.getYaw()
+        return out
+
+
+class _AnyMotion(ob.MotionValidator):
+    """Lets OMPL's PRM join whatever it likes: its undirected edges are not used, but only joined vertices are exported."""
+
+    def __init__(self, si: Any) -> None:
+        super().__init__(si)
+
+    def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802, ARG002  OMPL's name
+        return True
+
+
+class _Query:
+    """One label search over a roadmap with start and goal attached."""
+
+    def __init__(self, problem: Problem, budget: Budget, roadmap: Roadmap, rng: np.random.Generator) -> None:
+        self.problem, self.budget = problem, budget
+        s = problem.scenario
+        self.limits = pack_limits(s.vehicle)
+        goals = _free_goals(problem, rng, 48)
+        start = np.array([problem.start_state[:3]])
+        self.vertices = np.concatenate([roadmap.vertices, goals, start])
+        self.source = len(self.vertices) - 1
+        args = (roadmap.radius, 2.0, roadmap.longest)
+        to_goal = connect(roadmap.vertices, goals, *args, 8)
+        begin = connect(start, self.vertices[:-1], *args, 10 * _EDGES)
+        shift = len(roadmap.vertices)
+        ends = np.concatenate([roadmap.ends, to_goal[0] + [0, shift], begin[0] + [self.source, 0]])
+        order = np.argsort(ends[:, 0], kind="stable")
+        self.ends = np.ascontiguousarray(ends[order, 1])
+        self.curves = np.concatenate([roadmap.curves, to_goal[1], begin[1]])[order]
+        self.lengths = np.concatenate([roadmap.lengths, to_goal[2], begin[2]])[order]
+        self.start = np.searchsorted(ends[order, 0], np.arange(len(self.vertices) + 1))
+        self.radius = roadmap.radius
+        region = shapely.union_all([shapely.Polygon(r.polygon).buffer(0) for r in s.goal.regions])
+        self.distance = shapely.distance(region, shapely.points(self.vertices[:, :2]))
+
+    def run(self) -> SearchResult:
+        """Best-first over lazily judged labels: a child is driven and charged when it is taken, not when it is made."""
+        p, budget = self.problem, self.budget
+        goal, dt = p.goal, p.scenario.time_step
+        out = np.empty((max(goal.latest, 1), 4))
+        room = np.empty((self._widest() * 5, 4))
+        # state, step, vertex, risk, total, parent, driven poses
+        labels: list[tuple[Array, int, int, Array, float, int, Array]] = []
+        labels.append((np.array(p.start_state), 0, self.source, p.start_risk, p.start_total, -1, np.zeros((0, 4))))
+        seen: dict[tuple[int, int, int], list[Array]] = {}
+        heap: list[tuple[float, float, int, int, int, int, float]] = []
+        serial, checked, best, lowest = 0, 0, -1, np.inf
+
+        def push(number: int) -> None:
+            nonlocal serial
+            state, step, vertex, _, total, _, _ = labels[number]
+            count = expand(
+                vertex,
+                state[3],
+                step,
+                goal.latest,
+                self.start,
+                self.lengths,
+                self.curves,
+                self.radius,
+                dt,
+                self.limits,
+                self.ends,
+                self.distance,
+                room,
+            )
+            for edge, steps, acceleration, key in room[:count].tolist():
+                serial += 1
+                rank = max(key, goal.earliest) if budget.bound is not None else _decade(total)
+                entry = (rank, -min(step + steps, goal.latest), serial, number, int(edge), int(steps), acceleration)
+                heapq.heappush(heap, entry)
+
+        push(0)
+        while heap and not (serial % 8 == 0 and budget.expired()):
+            _, _, _, number, edge, steps, acceleration = heapq.heappop(heap)
+            state, step, _, risk, total, _, _ = labels[number]
+            if total > budget.limit:
+                continue
+            serial += 1
+            driven, arrived = traverse(
+                *state,
+                step,
+                self.curves[edge],
+                steps,
+                acceleration,
+                dt,
+                goal.latest,
+                goal.earliest,
+                p.world.packed,
+                goal.arrays,
+                out,
+            )
+            if driven == 0 or (not arrived and step + driven >= goal.latest):
+                continue
+            after = np.empty_like(risk)
+            limit = np.inf if arrived else budget.limit
+            total = p.evaluator.charge(out[:driven, :3], step + 1, risk, limit, after)
+            checked += driven
+            if arrived:
+                lowest = min(lowest, total)
+            if not total <= budget.limit:
+                continue
+            vertex, end = int(self.ends[edge]), out[driven - 1].copy()
+            if not arrived and not _undominated(seen, (vertex, step + driven, int(end[3] / _SAME_SPEED)), after):
+                continue
+            labels.append((end, step + driven, vertex, after, total, number, out[:driven].copy()))
+            if arrived:
+                best = len(labels) - 1
+                if budget.found(total):
+                    break
+            else:
+                push(len(labels) - 1)
+        counters = {
+            "vertices": len(self.vertices),
+            "edges": len(self.ends),
+            "labels": len(labels),
+            "checked_steps": checked,
+        }
+        return SearchResult(_states(labels, best), lowest, counters, self._edges(labels, dt))
+
+    def _widest(self) -> int:
+        return int(np.diff(self.start).max(initial=1))
+
+    @staticmethod
+    def _edges(labels: list[Any], dt: float) -> Array:
+        rows = [(*labels[x[5]][0][:2], *x[0][:2], x[1] * dt) for x in labels[1:]]
+        return np.array(rows).reshape(-1, 5)
+
+
+def _states(labels: list[Any], last: int) -> Array | None:
+    if last < 0:
+        return None
+    parts = []
+    while last >= 0:
+        parts.append(labels[last][6] if labels[last][5] >= 0 else labels[last][0][None])
+        last = labels[last][5]
+    return np.concatenate(parts[::-1])
+
+
+def _undominated(seen: dict[tuple[int, int, int], list[Array]], key: tuple[int, int, int], risk: Array) -> bool:
+    """Keep the label unless one there is nowhere riskier, or enough are kept already."""
+    others = seen.setdefault(key, [])
+    for other in others:
+        if (other <= risk).all():
+            return False
+    others[:] = [other for other in others if not (risk <= other).all()]
+    if len(others) >= _KEPT:
+        return False
+    others.append(risk)
+    return True
+
+
+def _decade(total: float) -> float:
+    """Risk in coarse classes, so that within a class the search goes deep first."""
+    return float(np.floor(3.0 * np.log10(max(total, 1e-9))))
+
+
+def _free_goals(problem: Problem, rng: np.random.Generator, count: int) -> Array:
+    """Poses in the goal, free of the static world; may be fewer, or none."""
+    poses = [
+        (x, y, heading)
+        for x, y, heading, speed, _ in problem.goal_samples(rng, 4 * count).tolist()
+        if problem.goal.holds(x, y, heading, speed) and problem.world.free(x, y, heading)
+    ]
+    return np.array(poses[:count]).reshape(-1, 3)
+
+
+def _edge_scale(scenario: Scenario) -> tuple[float, float]:
+    """(turning radius, longest edge) that suit the speeds to be expected."""
+    v = scenario.vehicle
+    pace = min(v.max_speed, max(scenario.start.speed + 2.0, 5.0))
+    radius = max(1.0 / v.max_curvature, pace * pace / v.max_lateral_acceleration)
+    return radius, max(2.0 * pace, 10.0)
+
+
