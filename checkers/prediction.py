@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -70,10 +71,14 @@ class GaussianMixturePrediction:
         Raises:
             InputError: if a time lies outside the prediction: nothing is extrapolated.
         """
-        left, right, share = _brackets(self, as_times("times", times))
+        times = as_times("times", times)
+        first = int(np.searchsorted(self.times, times[0]))
+        if np.array_equal(times, self.times[first : first + len(times)]):
+            return _cut(self, slice(first, first + len(times)))
+        left, right, share = _brackets(self, times)
         mix = _mixer(left, right, share)
         return GaussianMixturePrediction(
-            np.asarray(times, dtype=float),
+            times,
             self.weights if self.weights.ndim == 1 else mix(self.weights),
             mix(self.means),
             mix(self.covariances),
@@ -164,10 +169,14 @@ class MomentPrediction:
 
     def at(self, times: Any) -> MomentPrediction:
         """The prediction on another grid, moments interpolated linearly; outside its own times an error."""
-        left, right, share = _brackets(self, as_times("times", times))
+        times = as_times("times", times)
+        first = int(np.searchsorted(self.times, times[0]))
+        if np.array_equal(times, self.times[first : first + len(times)]):
+            return _cut(self, slice(first, first + len(times)))
+        left, right, share = _brackets(self, times)
         mix = _mixer(left, right, share)
         return MomentPrediction(
-            np.asarray(times, dtype=float),
+            times,
             self.weights if self.weights.ndim == 1 else mix(self.weights),
             mix(self.means),
             mix(self.central_moments),
@@ -272,6 +281,21 @@ def _brackets(pred: Prediction, times: Array) -> tuple[Any, Any, Array]:
     # a grid time is a grid time: no interpolation residue from rounding in the times
     share = np.where(np.abs(times - own[right]) <= slack, 1.0, share)
     return left, right, share
+
+
+_P = TypeVar("_P", GaussianMixturePrediction, MomentPrediction)
+
+
+def _cut(pred: _P, steps: slice) -> _P:
+    """Some steps of a prediction, which need no second validation."""
+    if steps.start == 0 and steps.stop == len(pred.times):
+        return pred
+    part = copy(pred)
+    for field in fields(pred):
+        value = getattr(pred, field.name)
+        if isinstance(value, np.ndarray) and not (field.name == "weights" and value.ndim == 1):
+            object.__setattr__(part, field.name, value[steps])
+    return part
 
 
 def _mixer(left: Any, right: Any, share: Array) -> Any:

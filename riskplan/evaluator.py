@@ -63,9 +63,14 @@ class RiskEvaluator:
     resolution: float = 1e-15
 
     @cached_property
+    def resampled(self) -> tuple[Agent, ...]:
+        """The agents on the part of the grid they cover: all of it, or all but time 0."""
+        return tuple(agent.at(self.times[self.times >= agent.times[0] - 1e-6]) for agent in self.agents)
+
+    @cached_property
     def grid(self) -> AgentGrid:
         """The packed agents."""
-        return pack_agents(self.agents, self.ego, self.checker, self.times)
+        return pack_agents(self.resampled, self.ego, self.checker, self.times)
 
     @cached_property
     def _call(self) -> tuple[object, ...]:
@@ -134,8 +139,8 @@ class RiskEvaluator:
         """
         times = self.times[: len(poses)]
         marginals, risks, padded = [], [], []
-        for agent in self.agents:
-            covered = times >= agent.times[0] - 1e-6
+        for agent in self.resampled:
+            covered = times >= agent.times[0]
             full = np.full((len(poses), agent.means.shape[1]), np.nan)
             kind = self.checker.info.kind
             if covered.any():
@@ -183,7 +188,7 @@ _NONE = np.zeros((0, 0))
 
 
 def pack_agents(agents: Sequence[Agent], ego: EgoShape, checker: Checker, times: Array) -> AgentGrid:
-    """Resample the agents to the grid and pack them.
+    """Pack agents that are on the grid already, from some step on to its end.
 
     Raises:
         InputError: if a backend needs more than an agent carries.
@@ -194,16 +199,17 @@ def pack_agents(agents: Sequence[Agent], ego: EgoShape, checker: Checker, times:
     if checker.moments_needed > 2 and any(isinstance(a, MomentPrediction) for a in agents):
         agents = [a.moments(checker.moments_needed) for a in agents]
     for a, agent in enumerate(agents):
-        covered = times >= agent.times[0] - 1e-6
-        arrays = checker.arrays(agent.at(times[covered]))
+        covered = times >= agent.times[0]
+        arrays = checker.arrays(agent)
         steps, modes = len(times), arrays.means.shape[1]
         order = arrays.order
         packed = pack_pieces(*ego.pieces(agent))
         reach = _circumradius(packed)
         block = np.zeros((steps, modes, hot.MOMENTS + arrays.moments.shape[-1]))
-        spread = np.sqrt(np.linalg.eigvalsh(agent.at(times[covered]).covariances)[..., 1])
+        c11, c12, c22 = np.moveaxis(arrays.covariances, -1, 0)
+        spread = np.sqrt(0.5 * (c11 + c22) + np.hypot(0.5 * (c11 - c22), c12))
         persistent = agent.modes == "persistent"
-        weights = 1.0 if persistent else agent.at(times[covered]).step_weights
+        weights = 1.0 if persistent else agent.step_weights
         block[covered, :, :2] = arrays.means
         block[covered, :, hot.C11 : hot.C22 + 1] = arrays.covariances
         block[covered, :, hot.WEIGHT] = weights
@@ -238,7 +244,7 @@ def _circumradius(pieces: Array) -> float:
 
 def _on_grid(agent: Agent, times: Array) -> Agent:
     """The agent on `times`; a missing time 0 repeats its first prediction, of which only the weights are then read."""
-    if agent.times[0] <= times[0] + 1e-6:
+    if agent.times[0] <= times[0]:
         return agent.at(times)
     if len(times) == 1:
         return replace(agent.at(agent.times[:1]), times=times)

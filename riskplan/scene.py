@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from checkers import EgoCover, EgoShape, GaussianMixturePrediction, InputError, MomentPrediction
 from checkers.validate import Array, as_array, as_scalar
+
+if TYPE_CHECKING:
+    from riskplan.world import StaticWorld
 
 Agent = GaussianMixturePrediction | MomentPrediction
 
@@ -174,6 +179,20 @@ class Scenario:
         put(self, "time_step", as_scalar("time_step", self.time_step, low=1e-3))
         put(self, "horizon", self._checked_horizon())
         put(self, "ego", self.ego if self.ego is not None else default_ego(self.vehicle))
+
+    @cached_property
+    def world(self) -> StaticWorld:
+        """The static world, packed for collision checks on first use."""
+        from riskplan.world import StaticWorld  # noqa: PLC0415  numba and shapely cost import time
+
+        return StaticWorld(self)
+
+    def with_agents(self, agents: Sequence[Agent]) -> Scenario:
+        """The same scene with other agents or predictions; the packed static world is shared."""
+        other = replace(self, agents=tuple(agents))
+        if "world" in self.__dict__:
+            other.__dict__["world"] = self.__dict__["world"]
+        return other
 
     def _checked_horizon(self) -> float:
         ends = [float(a.times[-1]) for a in self.agents]

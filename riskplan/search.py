@@ -23,10 +23,10 @@ class Problem:
     scenario: Scenario
     evaluator: RiskEvaluator
 
-    @cached_property
+    @property
     def world(self) -> StaticWorld:
         """Static world."""
-        return StaticWorld(self.scenario)
+        return self.scenario.world
 
     @cached_property
     def goal(self) -> PackedGoal:

@@ -57,7 +57,7 @@ class Roadmap:
     @classmethod
     def build(cls, scenario: Scenario, size: int = 1000, seed: int = 0) -> Roadmap:
         """Sample `size` vertices in the scenario's static world and connect them."""
-        sampler = _Sampler(scenario, StaticWorld(scenario), seed)
+        sampler = _Sampler(scenario, scenario.world, seed)
         return cls.of(sampler.grow(size), *_edge_scale(scenario))
 
     def save(self, path: str | Path) -> None:
