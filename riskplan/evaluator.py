@@ -137,21 +137,29 @@ class RiskEvaluator:
         Returns:
             the trajectory risk (None without agents), and per agent the marginals (S, K), NaN before its prediction.
         """
+        marginals = self.marginals(poses)
+        if not marginals:
+            return None, ()
         times = self.times[: len(poses)]
-        marginals, risks, padded = [], [], []
+        known = [replace(r, value=np.where(np.isnan(r.value), 0.0, r.value)) for r in marginals]
+        risk = trajectory_risk(known, [_on_grid(a, times) for a in self.agents], self.dependence)
+        return risk, tuple(r.value for r in marginals)
+
+    def marginals(self, poses: Array) -> tuple[Risk, ...]:
+        """Per agent the risk (S, K) at the first S grid times; NaN before its prediction begins."""
+        times = self.times[: len(poses)]
+        out = []
         for agent in self.resampled:
             covered = times >= agent.times[0]
-            full = np.full((len(poses), agent.means.shape[1]), np.nan)
-            kind = self.checker.info.kind
+            blank = np.full((len(poses), agent.means.shape[1]), np.nan)
+            risk = Risk(blank, self.checker.info.kind, None, None, self.checker.info.name)
             if covered.any():
-                risk = self.checker(poses[covered], agent.at(times[covered]), self.ego)
-                full[covered], kind = risk.value, risk.kind
-            marginals.append(full)
-            risks.append(Risk(np.where(covered[:, None], full, 0.0), kind))
-            padded.append(_on_grid(agent, times))
-        if not risks:
-            return None, ()
-        return trajectory_risk(risks, padded, self.dependence), tuple(marginals)
+                found = self.checker(poses[covered], agent.at(times[covered]), self.ego)
+                value = blank.copy()
+                value[covered] = found.value
+                risk = replace(found, value=value, error=None, lower=None)
+            out.append(risk)
+        return tuple(out)
 
     def _given(self, poses: Array, first_step: int, grid: AgentGrid | None = None) -> Array:
         """(S, M) risks by a backend that works on arrays."""

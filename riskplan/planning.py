@@ -147,7 +147,7 @@ def plan(
 def _refusal(problem: Problem, bound: float | None) -> tuple[str, str] | None:
     """Status and message where no search is worth starting."""
     s = problem.scenario
-    limit = 1.0 if bound is None else bound
+    limit = np.inf if bound is None else bound
     if not start_is_free(problem.world, s.start):
         return "start_in_obstacle", f"the body at the start ({s.start.x:g}, {s.start.y:g}) is not free of the static world"
     if not reachable_regions(s, problem.world):

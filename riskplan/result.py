@@ -48,3 +48,70 @@ class Plan:
     def solved(self) -> bool:
         """Whether there is a trajectory within the bound."""
         return self.status == "solved"
+
+
+@dataclass(frozen=True, eq=False)
+class CheckerVerdict:
+    """One backend's view of a plan.
+
+    Attributes:
+        checker: name.
+        kind: claim of `risk`, as text.
+        risk: over the whole trajectory; None if the backend could not judge some agent.
+        seconds: it took.
+        problem: why it could not judge, else "".
+    """
+
+    checker: str
+    kind: str
+    risk: TrajectoryRisk | None
+    seconds: float
+    problem: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class SampledRisk:
+    """Monte Carlo over whole trajectories of all agents, modes kept where they persist.
+
+    Attributes:
+        samples: drawn.
+        total, interval: share of samples that collide with any agent, and its Clopper-Pearson interval.
+        per_agent, per_agent_interval: (A,), (A, 2); NaN for agents that cannot be sampled.
+        confidence: of the intervals.
+        complete: whether every agent could be sampled; if not, `total` is of the others only.
+        seconds: it took.
+    """
+
+    samples: int
+    total: float
+    interval: tuple[float, float]
+    per_agent: Array
+    per_agent_interval: Array
+    confidence: float
+    complete: bool
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """An audit of a plan: what each requested backend and sampling say of the same trajectory.
+
+    Attributes:
+        agents: their names.
+        times: (T,) of the plan.
+        verdicts: one per backend.
+        sampled: Monte Carlo, or None if not asked for.
+        bound: stated for the plan.
+        within_bound: whether the plan's own judged total is within it; None without a bound.
+        consistent: no sampled interval lies above a total that claims to be exact or a bound.
+        stats: the plan's counters and seconds, checks per second included.
+    """
+
+    agents: tuple[str, ...]
+    times: Array
+    verdicts: tuple[CheckerVerdict, ...]
+    sampled: SampledRisk | None
+    bound: float | None
+    within_bound: bool | None
+    consistent: bool
+    stats: Mapping[str, Any] = field(default_factory=dict)

@@ -88,7 +88,7 @@ class Budget:
 
     def __init__(self, bound: float | None, time_limit: float) -> None:
         self.bound = bound
-        self.limit = 1.0 if bound is None else bound
+        self.limit = np.inf if bound is None else bound  # agents are summed: without a bound totals above 1 count too
         self._end = perf_counter() + time_limit
 
     def expired(self) -> bool:

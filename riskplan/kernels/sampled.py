@@ -1,0 +1,24 @@
+"""Sampled futures against the ego's shape."""
+
+import math
+
+import numba as nb
+
+
+@nb.njit(cache=True)
+def hits_any(paths, poses, pieces, hit):
+    """Set hit[i] where path i (n, S, 2) is inside some packed piece at some of the poses (S, 3)."""
+    for s in range(poses.shape[0]):
+        cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
+        for i in range(paths.shape[0]):
+            if hit[i]:
+                continue
+            dx, dy = paths[i, s, 0] - poses[s, 0], paths[i, s, 1] - poses[s, 1]
+            d1, d2 = cos * dx + sin * dy, cos * dy - sin * dx
+            for p in range(pieces.shape[0]):
+                r1, r2 = d1 - pieces[p, 0], d2 - pieces[p, 1]
+                y1 = pieces[p, 2] * r1 + pieces[p, 3] * r2
+                y2 = pieces[p, 4] * r2
+                if y1 * y1 + y2 * y2 <= 1.0:
+                    hit[i] = True
+                    break
