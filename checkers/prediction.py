@@ -104,8 +104,14 @@ class GaussianMixturePrediction:
             uniform = rng.random((n, steps, 1))
             mode = (uniform > np.cumsum(self.step_weights, axis=-1)[:, :-1]).sum(axis=-1)
         noise = rng.standard_normal((n, steps, 2))
-        root = _square_root(self.covariances)[np.arange(steps), mode]
-        return self.means[np.arange(steps), mode] + np.einsum("ntij,ntj->nti", root, noise)
+        root = _square_root(self.covariances)
+        # one gather for mean and factor; none at all for a single mode
+        pick = (slice(None), 0) if count == 1 else (np.arange(steps), mode)
+        mean, factor = self.means[pick], root[pick]
+        return np.stack(
+            [mean[..., i] + factor[..., i, 0] * noise[..., 0] + factor[..., i, 1] * noise[..., 1] for i in range(2)],
+            axis=-1,
+        )
 
     def save(self, path: str | Path) -> None:
         """Write to an `.npz` (no pickle)."""

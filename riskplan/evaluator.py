@@ -212,7 +212,7 @@ def pack_agents(agents: Sequence[Agent], ego: EgoShape, checker: Checker, times:
         steps, modes = len(times), arrays.means.shape[1]
         order = arrays.order
         packed = pack_pieces(*ego.pieces(agent))
-        reach = _circumradius(packed)
+        reach = circumradius(packed)
         block = np.zeros((steps, modes, hot.MOMENTS + arrays.moments.shape[-1]))
         c11, c12, c22 = np.moveaxis(arrays.covariances, -1, 0)
         spread = np.sqrt(0.5 * (c11 + c22) + np.hypot(0.5 * (c11 - c22), c12))
@@ -242,7 +242,7 @@ def pack_agents(agents: Sequence[Agent], ego: EgoShape, checker: Checker, times:
     )
 
 
-def _circumradius(pieces: Array) -> float:
+def circumradius(pieces: Array) -> float:
     """Radius about the ego's centre that holds all pieces."""
     root = np.zeros((len(pieces), 2, 2))
     root[:, 0, 0], root[:, 1, 0], root[:, 1, 1] = pieces[:, 2], pieces[:, 3], pieces[:, 4]

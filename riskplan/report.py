@@ -11,7 +11,7 @@ from checkers import Checker, EgoShape, InputError, Kind, TrajectoryRisk, checke
 from checkers.backends.monte_carlo import clopper_pearson
 from checkers.kernels.whiten import pack_pieces
 from checkers.validate import Array
-from riskplan.evaluator import RiskEvaluator
+from riskplan.evaluator import RiskEvaluator, circumradius
 from riskplan.kernels.sampled import hits_any
 from riskplan.result import CheckerVerdict, Plan, Report, SampledRisk
 from riskplan.scene import Agent, Scenario
@@ -88,11 +88,12 @@ def sample_risk(
             if not known[i]:
                 continue
             covered = times >= agent.times[0] - 1e-6
-            if not covered.any():
+            pieces = pack_pieces(*ego.pieces(agent))
+            if not covered.any() or _never_near(agent.at(times[covered]), poses[covered], circumradius(pieces)):
                 continue
             paths = np.ascontiguousarray(agent.at(times[covered]).sample(n, rng))
             hit = np.zeros(n, dtype=np.bool_)
-            hits_any(paths, np.ascontiguousarray(poses[covered]), pack_pieces(*ego.pieces(agent)), hit)
+            hits_any(paths, np.ascontiguousarray(poses[covered]), pieces, hit)
             counts[i] += np.count_nonzero(hit)
             some |= hit
         any_count += int(np.count_nonzero(some))
@@ -109,6 +110,13 @@ def sample_risk(
         bool(known.all()),
         perf_counter() - began,
     )
+
+
+def _never_near(agent: Agent, poses: Array, reach: float) -> bool:
+    """Whether every mode keeps 13 standard deviations off at every step: 1e-38 a step is not worth sampling."""
+    spread = np.sqrt(np.linalg.eigvalsh(agent.covariances)[..., 1])
+    gap = np.linalg.norm(agent.means - poses[:, None, :2], axis=-1)
+    return bool((gap > reach + 13.0 * spread).all())
 
 
 def _verdict(backend: Checker, plan: Plan, scenario: Scenario, dependence: str) -> CheckerVerdict:

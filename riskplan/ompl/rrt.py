@@ -148,9 +148,9 @@ class _Tree:
             setattr(self, name, np.concatenate([old, np.zeros_like(old)]))
 
     def total_of(self, state: Any) -> float:
-        """Accumulated risk of a state; infinite for one that could not be driven to."""
+        """Accumulated risk of a state; NaN, within no bound, for one that could not be driven to."""
         number = state[5]
-        return float(self.total[round(number / _NUMBER)]) if number >= 0.0 else np.inf
+        return float(self.total[round(number / _NUMBER)]) if number >= 0.0 else np.nan
 
     def result(self) -> SearchResult:
         p = self.problem
