@@ -147,18 +147,20 @@ class RiskEvaluator:
 
     def marginals(self, poses: Array) -> tuple[Risk, ...]:
         """Per agent the risk (S, K) at the first S grid times; NaN before its prediction begins."""
-        times = self.times[: len(poses)]
+        g, poses = self.grid, np.ascontiguousarray(poses, dtype=float)
+        if self.checker.kernel:
+            rows = np.empty((len(poses), len(g.index)))
+            options = self.checker.options
+            hot.marginals(self.checker.kernel, options, g.order, g.rows, g.index, g.pieces, poses, 0, rows)
+        else:
+            rows = self._given(poses, 0)
+            rows[np.isnan(g.rows[: len(poses), :, hot.WEIGHT])] = np.nan
+        name = self.checker.info.name
         out = []
-        for agent in self.resampled:
-            covered = times >= agent.times[0]
-            blank = np.full((len(poses), agent.means.shape[1]), np.nan)
-            risk = Risk(blank, self.checker.info.kind, None, None, self.checker.info.name)
-            if covered.any():
-                found = self.checker(poses[covered], agent.at(times[covered]), self.ego)
-                value = blank.copy()
-                value[covered] = found.value
-                risk = replace(found, value=value, error=None, lower=None)
-            out.append(risk)
+        for a in range(len(self.agents)):
+            mine = np.flatnonzero(g.owner == a)
+            kind = self.checker.kind_for(int(g.index[mine[0], 2] - g.index[mine[0], 1]))
+            out.append(Risk(rows[:, mine], kind, checker=name))
         return tuple(out)
 
     def _given(self, poses: Array, first_step: int, grid: AgentGrid | None = None) -> Array:
@@ -168,7 +170,7 @@ class RiskEvaluator:
         out = np.zeros((len(poses), len(g.index)))
         for m, (_, first, last) in enumerate(g.index):
             row = g.rows[steps, m : m + 1]
-            near = (row[:, 0, hot.WEIGHT] > 0) & self._within_cull(row[:, 0], poses)
+            near = (row[:, 0, hot.WEIGHT] >= 0) & self._within_cull(row[:, 0], poses)
             if not near.any():
                 continue
             moments = np.ascontiguousarray(row[near][:, :, hot.MOMENTS :])
@@ -202,7 +204,8 @@ def pack_agents(agents: Sequence[Agent], ego: EgoShape, checker: Checker, times:
         InputError: if a backend needs more than an agent carries.
     """
     blocks, index, pieces, groups, owner = [], [], [], [], []
-    order = 0
+    order = count = 0
+    packed_for: dict[tuple[float | None, float | None], Array] = {}
     gaussian_only = checker.moments_needed == 0
     if checker.moments_needed > 2 and any(isinstance(a, MomentPrediction) for a in agents):
         agents = [a.moments(checker.moments_needed) for a in agents]
@@ -211,9 +214,12 @@ def pack_agents(agents: Sequence[Agent], ego: EgoShape, checker: Checker, times:
         arrays = checker.arrays(agent)
         steps, modes = len(times), arrays.means.shape[1]
         order = arrays.order
-        packed = pack_pieces(*ego.pieces(agent))
+        size = (agent.length, agent.width)
+        if size not in packed_for:
+            packed_for[size] = pack_pieces(*ego.pieces(agent))
+        packed = packed_for[size]
         reach = circumradius(packed)
-        block = np.zeros((steps, modes, hot.MOMENTS + arrays.moments.shape[-1]))
+        block = np.full((steps, modes, hot.MOMENTS + arrays.moments.shape[-1]), np.nan)
         c11, c12, c22 = np.moveaxis(arrays.covariances, -1, 0)
         spread = np.sqrt(0.5 * (c11 + c22) + np.hypot(0.5 * (c11 - c22), c12))
         persistent = agent.modes == "persistent"
@@ -226,9 +232,10 @@ def pack_agents(agents: Sequence[Agent], ego: EgoShape, checker: Checker, times:
         for k in range(modes):
             if persistent or k == 0:
                 groups.append(float(agent.weights[k]) if persistent else 1.0)
-            index.append((len(groups) - 1, sum(map(len, pieces)), sum(map(len, pieces)) + len(packed)))
+            index.append((len(groups) - 1, count, count + len(packed)))
             owner.append(a)
         pieces.append(packed)
+        count += len(packed)
         blocks.append(block)
     width = max((b.shape[2] for b in blocks), default=hot.MOMENTS + 1)
     rows = np.concatenate(blocks, axis=1) if blocks else np.zeros((len(times), 0, width))

@@ -12,34 +12,74 @@ from checkers.kernels.whiten import to_disc, to_ego, whiten_moments
 MEAN_X, MEAN_Y, C11, C12, C22, WEIGHT, CULL, MOMENTS = range(8)
 
 
+# a piece bounded by less than this share of what is charged already is charged its bound
+_MINOR = 3e-3
+
+
 @nb.njit(cache=True)
 def row_risk(address, options, order, row, pieces, first, last, x, y, cos, sin, negligible, scratch, out):
-    """Risk of one agent mode at one pose.
+    """Risk of one agent mode at one pose: the union bound over its pieces.
 
     Where `negligible` > 0 (Gaussian modes under an exact backend) the half-space bound P ≤ Φ(−(|m| − 1)/σ_m), which
-    holds for every direction and hence for that of m, is charged instead wherever it is below `negligible`.
+    holds for every direction and hence for that of m, is charged for every piece where it is below `negligible` or
+    small beside the likeliest piece: the value is then high by at most `_MINOR` per piece.
     """
     d1, d2, e11, e12, e22 = to_ego(
         x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22]
     )
-    value = 0.0
+    value, top, largest = 0.0, -1, 0.0
+    if negligible > 0.0:
+        for p in range(first, last):
+            m1, m2, s11, s12, s22 = to_disc(pieces[p], d1, d2, e11, e12, e22)
+            bound = _direction_bound(m1, m2, s11, s12, s22)
+            if bound > largest:
+                largest, top = bound, p
+        if largest <= negligible:
+            return largest * (last - first)
+        m1, m2, s11, s12, s22 = to_disc(pieces[top], d1, d2, e11, e12, e22)
+        value = call_kernel(
+            address, m1, m2, s11, s12, s22, scratch.ctypes.data, 0, options.ctypes.data, out.ctypes.data
+        )
     for p in range(first, last):
+        if p == top:
+            continue
         m1, m2, s11, s12, s22 = to_disc(pieces[p], d1, d2, e11, e12, e22)
         if negligible > 0.0:
-            r2 = m1 * m1 + m2 * m2
-            if r2 > 1.0:
-                r = math.sqrt(r2)
-                spread = math.sqrt(2.0 * (m1 * m1 * s11 + 2.0 * m1 * m2 * s12 + m2 * m2 * s22) / r2)
-                bound = 0.5 * math.erfc((r - 1.0) / spread) if spread > 0.0 else 0.0
-                if bound <= negligible:
-                    value += bound
-                    continue
+            bound = _direction_bound(m1, m2, s11, s12, s22)
+            if bound <= max(negligible, _MINOR * value):
+                value += bound
+                continue
         if order > 0:
             whiten_moments(pieces[p], cos, sin, row[MOMENTS:], order, scratch)
         value += call_kernel(
             address, m1, m2, s11, s12, s22, scratch.ctypes.data, order, options.ctypes.data, out.ctypes.data
         )
     return min(value, 1.0)
+
+
+@nb.njit(inline="always")
+def _direction_bound(m1, m2, s11, s12, s22):
+    r2 = m1 * m1 + m2 * m2
+    if r2 <= 1.0:
+        return 1.0
+    spread = math.sqrt(2.0 * (m1 * m1 * s11 + 2.0 * m1 * m2 * s12 + m2 * m2 * s22) / r2)
+    return 0.5 * math.erfc((math.sqrt(r2) - 1.0) / spread) if spread > 0.0 else 0.0
+
+
+@nb.njit(cache=True)
+def marginals(address, options, order, rows, index, pieces, poses, first_step, out):
+    """Fill out (S, M) with the risk of every agent mode at poses (S, 3), nothing culled or bounded."""
+    scratch, extra = np.empty(max((order + 1) ** 2, 1)), np.empty(2)
+    for s in range(poses.shape[0]):
+        x, y = poses[s, 0], poses[s, 1]
+        cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
+        for m in range(index.shape[0]):
+            row = rows[first_step + s, m]
+            out[s, m] = np.nan
+            if not math.isnan(row[WEIGHT]):
+                out[s, m] = row_risk(
+                    address, options, order, row, pieces, index[m, 1], index[m, 2], x, y, cos, sin, 0.0, scratch, extra
+                )
 
 
 @nb.njit(cache=True)
@@ -53,7 +93,7 @@ def charge(
     Stops, returning a total above `limit`, as soon as the limit is passed.
 
     Args:
-        rows: (T, M, 7 + moments) of all agent modes on the grid, WEIGHT 0 where a mode is not charged.
+        rows: (T, M, 7 + moments) of all agent modes on the grid, WEIGHT NaN before a prediction begins.
         index: (M, 3) group, first and last piece of each row.
         groups: (G,) outer weights.
         given: (S, M) risks worked out elsewhere, or (0, 0).
@@ -71,7 +111,7 @@ def charge(
         for m in range(index.shape[0]):
             row = rows[step, m]
             weight = row[WEIGHT]
-            if weight == 0.0:
+            if not weight > 0.0:  # NaN: the agent's prediction has not begun
                 continue
             if given.shape[0] > 0:
                 r = given[s, m]

@@ -26,6 +26,7 @@ from riskplan.world import StaticWorld, lane_segments
 _EDGES = 16  # edges out of a vertex
 _SAME_SPEED = 1.0  # labels at one vertex and step compete within this [m/s]
 _KEPT = 4  # labels kept per vertex, step and speed
+_LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +128,10 @@ class Prm:
                 best = result
             if budget.expired() or (best.states is not None and budget.bound is not None):
                 break
+            # larger at first; once large, another one of that size
             size, roadmap = 2 * max(size, len(roadmap.vertices)), None
-            if size > 100_000:
-                break
+            if size > _LARGEST:
+                size, sampler, seed = _LARGEST, None, seed + 1
         return SearchResult(best.states, lowest, counters, best.edges)
 
 
@@ -258,12 +260,11 @@ class _Query:
                 heapq.heappush(heap, entry)
 
         push(0)
-        while heap and not (serial % 8 == 0 and budget.expired()):
+        while heap and not budget.expired():
             _, _, _, number, edge, steps, acceleration = heapq.heappop(heap)
             state, step, _, risk, total, _, _ = labels[number]
             if total > budget.limit:
                 continue
-            serial += 1
             driven, arrived = traverse(
                 *state,
                 step,

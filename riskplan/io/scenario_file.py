@@ -1,0 +1,124 @@
+"""The own scenario format, read: YAML to `Scenario`. `scenario.schema.json` documents every field."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+import numpy as np
+
+from checkers import EgoCover, EgoEllipsoid, EgoShape, GaussianMixturePrediction, InputError, MomentPrediction
+from checkers import load_prediction
+from checkers.validate import Array
+from riskplan.io.schema import check_document
+from riskplan.io.text import numbers, read_bytes
+from riskplan.io.yaml_text import parse_yaml
+from riskplan.scene import Agent, Goal, GoalRegion, KinematicCar, Scenario, State
+
+
+def read_scenario(path: str | Path) -> Scenario:
+    """The scenario in a `.yaml` file.
+
+    Raises:
+        InputError: one line: the file, the field, what was expected and what came.
+    """
+    document = parse_yaml(read_bytes(path), str(path))
+    try:
+        check_document(document)
+        return scenario_of(document, Path(path).parent)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def scenario_of(document: dict[str, Any], folder: Path) -> Scenario:
+    """The scenario of a document that fits the schema; agents' files are looked up in `folder`."""
+    d = document
+    given = {key: d[key] for key in ("bounds", "time_step", "horizon", "obstacles", "drivable", "lanes", "name") if key in d}
+    return Scenario(
+        start=State(**d["start"]),
+        goal=_goal(d["goal"]),
+        agents=tuple(_agent(i, a, folder) for i, a in enumerate(d.get("agents", ()))),
+        ego=_ego(d["ego"]) if "ego" in d else None,
+        vehicle=KinematicCar(**d.get("vehicle", {})),
+        **given,
+    )
+
+
+def _goal(d: dict[str, Any]) -> Goal:
+    regions = tuple(_region(f"goal.regions[{i}]", r) for i, r in enumerate(d["regions"]))
+    return Goal(regions, **({"time": tuple(d["time"])} if "time" in d else {}))
+
+
+def _region(where: str, d: dict[str, Any]) -> GoalRegion:
+    terms = {key: d[key] for key in ("heading", "heading_tolerance") if key in d}
+    if "speed" in d:
+        terms["speed"] = tuple(d["speed"])
+    try:
+        if "circle" in d:
+            return Goal.at(**d["circle"], **terms).regions[0]
+        return GoalRegion(_box(d["box"]) if "box" in d else d["polygon"], **terms)
+    except InputError as error:
+        raise InputError(f"{where}.{str(error).removeprefix('goal.')}") from None
+
+
+def _box(bounds: list[float]) -> Array:
+    x0, y0, x1, y1 = bounds
+    if not (x0 < x1 and y0 < y1):
+        raise InputError(f"box: expected x_min < x_max and y_min < y_max, got {bounds}")
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
+
+
+def _ego(d: dict[str, Any]) -> EgoShape:
+    (kind, values), *_ = d.items()
+    try:
+        if kind == "discs":
+            return EgoCover.discs(**{**values, "n": int(values.get("n", 6))})
+        return EgoEllipsoid(values["Q"]) if "Q" in values else EgoEllipsoid.around(**values)
+    except InputError as error:
+        raise InputError(f"ego.{kind}.{error}") from None
+
+
+_CLASSES: dict[str, Callable[..., Agent]] = {"gaussian": GaussianMixturePrediction, "moments": MomentPrediction}
+
+
+def _agent(index: int, d: dict[str, Any], folder: Path) -> Agent:
+    name = f" ({d['name']})" if d.get("name") else ""
+    labels = {key: d[key] for key in ("name", "length", "width") if key in d}
+    try:
+        if "headings" in d:
+            labels["headings"] = numbers("headings", d["headings"])
+        if "file" in d:
+            return replace(_from_file(d["file"], folder), **labels)
+        kind = "gaussian" if "gaussian" in d else "moments"
+        values = {key: v if key == "modes" else _array(key, v) for key, v in d[kind].items()}
+        return _keep_weights(_CLASSES[kind](**values, **labels), values["weights"])
+    except InputError as error:
+        raise InputError(f"agents[{index}]{name}: {error}") from None
+
+
+def _array(key: str, value: Any) -> Array:
+    if key == "times" and isinstance(value, dict):
+        grid: Array = value.get("start", 0.0) + value["step"] * np.arange(int(value["count"]))
+        return grid
+    return numbers(key, value)
+
+
+def _keep_weights(agent: Agent, weights: Array) -> Agent:
+    """Weights whose sum is 1 but for rounding stay what they were: normalised again, they would lose a bit."""
+    if weights.shape == agent.weights.shape and np.allclose(weights, agent.weights, rtol=1e-14, atol=0.0):
+        weights.flags.writeable = False
+        object.__setattr__(agent, "weights", weights)
+    return agent
+
+
+def _from_file(name: str, folder: Path) -> Agent:
+    inside = not (PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive or ".." in Path(name).parts)
+    if not inside or not name.endswith(".npz"):
+        raise InputError(f"file: expected an .npz in the scenario's directory or below, got {name!r}")
+    try:
+        return load_prediction(folder / name)
+    except (zipfile.BadZipFile, KeyError) as error:
+        raise InputError(f"{folder / name}: not a prediction file: {error}") from None

@@ -1,0 +1,145 @@
+"""The terminal report of a plan: risks by every backend, Monte Carlo, times. Printed ends never understate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
+from typing import Any
+
+from rich import box
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from checkers import Kind
+from riskplan.result import CheckerVerdict, Plan, Report, SampledRisk
+
+_SIDE_BY_SIDE = 3  # backends in one table at 100 columns
+
+
+def risk_text(value: float | None, rounding: str = ROUND_HALF_EVEN, digits: int = 3) -> str:
+    """A probability with three significant digits, rounded the way its claim allows."""
+    if value is None or value != value:
+        return "-"
+    exact = Decimal(float(value))
+    if not exact:
+        return "0"
+    step = Decimal(1).scaleb(exact.adjusted() - digits + 1)
+    rounded = exact.quantize(step, rounding=rounding)
+    if rounded.adjusted() > exact.adjusted():  # 0.9996 became 1.000
+        rounded = rounded.quantize(step.scaleb(1))
+    return f"{rounded:f}" if rounded.adjusted() >= -4 else f"{rounded:.{digits - 1}e}"
+
+
+def upper(value: float | None) -> str:
+    """An upper end: never printed below its value."""
+    return risk_text(value, ROUND_CEILING)
+
+
+def lower(value: float | None) -> str:
+    """A lower end: never printed above its value."""
+    return risk_text(value, ROUND_FLOOR)
+
+
+def by_kind(value: float | None, kind: str) -> str:
+    """A bound is rounded up, the rest to nearest."""
+    return upper(value) if kind == Kind.UPPER_BOUND.value else risk_text(value)
+
+
+def print_report(plan: Plan, report: Report | None, console: Console | None = None, title: str = "") -> None:
+    """Print the outcome, and for a solved plan what its audit says."""
+    console = console or Console(highlight=False)
+    width = console.width if console.is_terminal else max(console.width, 100)
+    console.print(report_view(plan, report, title), width=width)
+
+
+def report_view(plan: Plan, report: Report | None, title: str = "") -> RenderableType:
+    """The same as something rich prints."""
+    parts: list[RenderableType] = [_headline(plan, title)]
+    if report is not None:
+        groups = [report.verdicts[i : i + _SIDE_BY_SIDE] for i in range(0, len(report.verdicts), _SIDE_BY_SIDE)]
+        for i, verdicts in enumerate(groups or [()]):
+            sampled = report.sampled if i == 0 else None
+            if verdicts or sampled:
+                parts.append(risk_table(report, verdicts, sampled))
+        parts += [Text(line) for line in _remarks(report)]
+    parts.append(_times(plan, report))
+    return Group(*parts)
+
+
+def _headline(plan: Plan, title: str) -> Text:
+    text = Text(f"{title}: " if title else "", style="bold")
+    text.append(plan.status.replace("_", " "), style="bold green" if plan.solved else "bold red")
+    return text.append(f". {plan.message}.", style="default not bold")
+
+
+def risk_table(report: Report, verdicts: Sequence[CheckerVerdict], sampled: SampledRisk | None) -> Table:
+    """Agents down, backends across; below them what holds for the whole trajectory."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    table.add_column("collision risk", max_width=28, overflow="ellipsis", no_wrap=True)
+    for v in verdicts:
+        table.add_column(f"{v.checker}\n{v.kind}", justify="right")
+    if sampled is not None:
+        table.add_column(f"Monte Carlo, {sampled.samples} samples\n{sampled.confidence:.0%} interval", justify="right")
+    for i, name in enumerate(report.agents):
+        cells = [_cell(v, lambda r, i=i: r.per_agent[i]) for v in verdicts]  # type: ignore[misc]
+        end = [i == len(report.agents) - 1]
+        table.add_row(Text(name), *cells, *_sampled(sampled, i), end_section=end[0])
+    for label, ends, pick in _TOTALS:
+        cells = [_cell(v, pick, ends) for v in verdicts]
+        table.add_row(label, *cells, *(_sampled(sampled, None) if label == "total" else ()))
+    return table
+
+
+_TOTALS: tuple[tuple[str, Any, Any], ...] = (
+    ("total", None, lambda r: r.total),
+    ("largest step, all agents", None, lambda r: r.per_step.max()),
+    ("Frechet: at least", lower, lambda r: r.frechet[0]),
+    ("Frechet, Boole: at most", upper, lambda r: r.frechet[1]),
+)
+
+
+def _cell(verdict: CheckerVerdict, pick: Any, ends: Any = None) -> str:
+    if verdict.risk is None:
+        return "-"
+    value = float(pick(verdict.risk))
+    return str(ends(value)) if ends else by_kind(value, verdict.kind)
+
+
+def _sampled(sampled: SampledRisk | None, agent: int | None) -> tuple[str, ...]:
+    if sampled is None:
+        return ()
+    if agent is None:
+        share, (low, high) = sampled.total, sampled.interval
+    else:
+        share, (low, high) = float(sampled.per_agent[agent]), sampled.per_agent_interval[agent]
+    if share != share:
+        return ("not sampled",)
+    return (f"{risk_text(share)}  [{lower(low)}, {upper(high)}]",)
+
+
+def _remarks(report: Report) -> Iterable[str]:
+    if report.bound is not None:
+        yield f"bound {report.bound:g}: the planner's own total is {'within' if report.within_bound else 'ABOVE'} it"
+    for v in report.verdicts:
+        if v.problem:
+            yield f"{v.checker}: {v.problem}"
+    if report.sampled is not None and not report.sampled.complete:
+        yield "Monte Carlo: agents known by their moments only are left out of the total"
+    if not report.consistent:
+        yield "INCONSISTENT: the sampled risk lies above a total that claims to be exact or a bound"
+
+
+def _times(plan: Plan, report: Report | None) -> Text:
+    stats = plan.stats
+    seconds = [(name, stats.get(name)) for name in ("preparation", "search", "judging")]
+    if report is not None:
+        sampling = 0.0 if report.sampled is None else report.sampled.seconds
+        seconds += [("audit", sum(v.seconds for v in report.verdicts)), ("sampling", sampling)]
+    parts = [f"{name} {value:.3f} s" for name, value in seconds if isinstance(value, float | int)]
+    checks, search = stats.get("checked_steps"), stats.get("search")
+    if isinstance(checks, int):
+        parts.append(f"{checks} poses checked")
+        if isinstance(search, float | int) and search > 0:
+            parts.append(f"{checks / search:.0f}/s")
+    return Text(", ".join(parts), style="dim")
