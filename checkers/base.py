@@ -147,9 +147,7 @@ class Checker(ABC):
         batch = np.ascontiguousarray(poses.reshape(-1, steps, 3))
         if self.kernel:
             out = np.empty((3, len(batch), steps, count))
-            batch_risk(
-                self.kernel, self.options, pieces, batch, *arrays[:3], arrays.order, out[0], out[1], out[2]
-            )
+            batch_risk(self.kernel, self.options, pieces, batch, *arrays[:3], arrays.order, out[0], out[1], out[2])
         else:
             out = np.stack([self._by_arrays(one, arrays, pieces) for one in batch], axis=1)
         shape = (*poses.shape[:-1], count)

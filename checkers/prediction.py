@@ -160,7 +160,7 @@ class MomentPrediction:
     @property
     def order(self) -> int:
         """Highest order of the moments carried."""
-        return self.central_moments.shape[-1] - 1
+        return int(self.central_moments.shape[-1]) - 1
 
     @property
     def covariances(self) -> Array:
@@ -192,7 +192,9 @@ class MomentPrediction:
     def moments(self, order: int) -> MomentPrediction:
         """The same agent with fewer moments; asking for more than are carried is an error."""
         if order > self.order:
-            raise InputError(f"moments: {self.name or 'agent'} carries moments up to order {self.order}, asked for {order}")
+            raise InputError(
+                f"moments: {self.name or 'agent'} carries moments up to order {self.order}, asked for {order}"
+            )
         cut = self.central_moments[..., : order + 1, : order + 1]
         return MomentPrediction(self.times, self.weights, self.means, cut, **_labels(self))
 
@@ -206,7 +208,7 @@ class MomentPrediction:
 
 
 Prediction = GaussianMixturePrediction | MomentPrediction
-_CLASSES = {"gaussian": GaussianMixturePrediction, "moments": MomentPrediction}
+_CLASSES: dict[str, Any] = {"gaussian": GaussianMixturePrediction, "moments": MomentPrediction}
 
 
 def load_prediction(path: str | Path) -> Prediction:
@@ -222,7 +224,8 @@ def load_prediction(path: str | Path) -> Prediction:
     as_option(f"{path}: type", kind, tuple(_CLASSES))
     plain = {key: value.item() if value.ndim == 0 else value for key, value in values.items()}
     try:
-        return _CLASSES[kind](**plain)
+        found: Prediction = _CLASSES[kind](**plain)
+        return found
     except TypeError as error:
         raise InputError(f"{path}: {error}") from None
 

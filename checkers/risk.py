@@ -82,7 +82,9 @@ def trajectory_risk(
     if dependence not in DEPENDENCE:
         raise InputError(f"dependence: expected one of {', '.join(DEPENDENCE)}; got {dependence!r}")
     if len(risks) != len(predictions) or not risks:
-        raise InputError(f"risks: expected one per prediction and at least one, got {len(risks)} for {len(predictions)}")
+        raise InputError(
+            f"risks: expected one per prediction and at least one, got {len(risks)} for {len(predictions)}"
+        )
     agents, steps, booles, tops = [], [], [], []
     for index, (risk, pred) in enumerate(zip(risks, predictions, strict=True)):
         if risk.value.shape[-2:] != pred.means.shape[:2]:

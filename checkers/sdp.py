@@ -31,7 +31,7 @@ def certified_value(coefficients: Array, moments: Array, x0: float) -> float:
     critical = P.polyroots(P.polyder(coefficients)) if len(coefficients) > 2 else np.zeros(0)
     # a root that is real up to rounding counts: evaluating p at extra points never hurts
     points = np.concatenate([critical.real, [x0]])
-    values = P.polyval(points, coefficients)
+    values = np.asarray(P.polyval(points, coefficients), dtype=float)
     left = points <= x0
     lift = max(0.0, -float(values.min()), 1.0 - float(values[left].min()))
     slack = 1e-12 * float(np.abs(coefficients) @ np.abs(moments))

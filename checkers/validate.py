@@ -20,7 +20,9 @@ def as_array(name: str, value: Any, shape: Sequence[int | str], *, finite: bool 
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: expected numbers of shape {_show(shape)}, got {type(value).__name__}: {error}") from None
+        raise InputError(
+            f"{name}: expected numbers of shape {_show(shape)}, got {type(value).__name__}: {error}"
+        ) from None
     fits = array.ndim == len(shape) and all(
         size == want if isinstance(want, int) else size >= 1 for size, want in zip(array.shape, shape, strict=True)
     )
@@ -76,10 +78,12 @@ def as_weights(name: str, value: Any, steps: int, modes: int) -> Array:
     off = np.flatnonzero(np.abs(np.atleast_1d(sums) - 1.0) > 1e-6)
     if len(off):
         where = "" if ndim == 1 else f"[{int(off[0])}]"
-        raise InputError(f"{name}{where}: expected weights that sum to 1, got a sum of {np.atleast_1d(sums)[off[0]]:.9g}")
-    weights = weights / sums[..., None]
-    weights.flags.writeable = False
-    return weights
+        raise InputError(
+            f"{name}{where}: expected weights that sum to 1, got a sum of {np.atleast_1d(sums)[off[0]]:.9g}"
+        )
+    normalised: Array = weights / sums[..., None]
+    normalised.flags.writeable = False
+    return normalised
 
 
 def as_covariances(name: str, value: Any, shape: Sequence[int | str]) -> Array:

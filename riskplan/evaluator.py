@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -268,5 +269,5 @@ def _on_grid(agent: Agent, times: Array) -> Agent:
     if later.weights.ndim == 2:
         names.append("weights")
     values = {name: getattr(later, name) for name in names}
-    repeated = {name: np.concatenate([v[:1], v]) for name, v in values.items() if v is not None}
+    repeated: dict[str, Any] = {name: np.concatenate([v[:1], v]) for name, v in values.items() if v is not None}
     return replace(later, times=times, **repeated)

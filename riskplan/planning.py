@@ -111,8 +111,6 @@ def plan(
     time_limit = as_scalar("time_limit", time_limit, low=0.0)
     if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**31:
         raise InputError(f"seed: expected an integer in [0, 2^31), got {seed!r}")
-    if scenario.ego is None:  # pragma: no cover  Scenario always fills it
-        raise InputError("ego: expected a shape")
     # a search that overstates risk by a hundredth of the bound loses next to nothing and gains half of its time
     resolution = 1e-6 if bound is None else max(1e-2 * bound, 1e-30)
     evaluator = RiskEvaluator(scenario.agents, scenario.ego, chosen, scenario.times, dependence, resolution)
@@ -149,22 +147,42 @@ def _refusal(problem: Problem, bound: float | None) -> tuple[str, str] | None:
     s = problem.scenario
     limit = np.inf if bound is None else bound
     if not start_is_free(problem.world, s.start):
-        return "start_in_obstacle", f"the body at the start ({s.start.x:g}, {s.start.y:g}) is not free of the static world"
+        return (
+            "start_in_obstacle",
+            f"the body at the start ({s.start.x:g}, {s.start.y:g}) is not free of the static world",
+        )
     if not reachable_regions(s, problem.world):
-        return "goal_in_obstacle", "no goal region has a part that is within bounds and free of the static world"
+        return (
+            "goal_in_obstacle",
+            "no goal region has a part that is within bounds and free of the static world",
+        )
     if not problem.start_total <= limit:
-        return "start_at_risk", f"the risk at the start is {problem.start_total:.3g}, above the bound {limit:g}"
+        return (
+            "start_at_risk",
+            f"the risk at the start is {problem.start_total:.3g}, above the bound {limit:g}",
+        )
     if problem.goal.latest < problem.goal.earliest or goal_too_far(s):
-        return "goal_unreachable", "no goal region is within reach of the vehicle inside the time window and horizon"
+        return (
+            "goal_unreachable",
+            "no goal region is within reach of the vehicle inside the time window and horizon",
+        )
     return None
 
 
-def _judged(problem: Problem, found: SearchResult, bound: float | None, settings: dict[str, Any], stats: dict[str, Any]) -> Plan:
+def _judged(
+    problem: Problem,
+    found: SearchResult,
+    bound: float | None,
+    settings: dict[str, Any],
+    stats: dict[str, Any],
+) -> Plan:
     s = problem.scenario
     if found.states is None:
         seen = stats["lowest_risk_seen"]
         why = f"the lowest risk seen at the goal was {seen:.3g}" if seen is not None else "no way to the goal was seen"
-        message = f"no plan within {'reach' if bound is None else f'the bound {bound:g}'} in {stats['search']:.2f} s; {why}"
+        message = (
+            f"no plan within {'reach' if bound is None else f'the bound {bound:g}'} in {stats['search']:.2f} s; {why}"
+        )
         return replace(_no_plan("no_plan_found", message, bound, settings, stats), search=found.edges)
     began = perf_counter()
     poses = np.ascontiguousarray(found.states[:, :3])

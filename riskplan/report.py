@@ -48,8 +48,6 @@ def audit(
         raise InputError("plan.times: expected the scenario's grid from 0 on")
     if not isinstance(monte_carlo, int) or isinstance(monte_carlo, bool) or monte_carlo < 0:
         raise InputError(f"monte_carlo: expected an integer >= 0, got {monte_carlo!r}")
-    if scenario.ego is None:  # pragma: no cover  Scenario always fills it
-        raise InputError("ego: expected a shape")
     dependence = str(plan.settings.get("dependence", "independent"))
     backends = [c if isinstance(c, Checker) else checker(c) for c in checkers]
     verdicts = tuple(_verdict(b, plan, scenario, dependence) for b in backends)
@@ -74,7 +72,13 @@ def audit(
 
 
 def sample_risk(
-    poses: Array, times: Array, agents: Sequence[Agent], ego: EgoShape, samples: int, seed: int, confidence: float = _CONFIDENCE
+    poses: Array,
+    times: Array,
+    agents: Sequence[Agent],
+    ego: EgoShape,
+    samples: int,
+    seed: int,
+    confidence: float = _CONFIDENCE,
 ) -> SampledRisk:
     """Share of sampled futures in which some agent is inside the shape at some step of the trajectory (S, 3)."""
     began = perf_counter()
@@ -122,7 +126,7 @@ def _never_near(agent: Agent, poses: Array, reach: float) -> bool:
 def _verdict(backend: Checker, plan: Plan, scenario: Scenario, dependence: str) -> CheckerVerdict:
     began = perf_counter()
     name, kind = backend.info.name, backend.info.kind.value
-    if not scenario.agents or scenario.ego is None:
+    if not scenario.agents:
         return CheckerVerdict(name, kind, None, 0.0, "no agents")
     evaluator = RiskEvaluator(scenario.agents, scenario.ego, backend, scenario.times, dependence)
     try:

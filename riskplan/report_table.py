@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from typing import Any
@@ -48,9 +49,12 @@ def by_kind(value: float | None, kind: str) -> str:
 
 def print_report(plan: Plan, report: Report | None, console: Console | None = None, title: str = "") -> None:
     """Print the outcome, and for a solved plan what its audit says."""
-    console = console or Console(highlight=False)
-    width = console.width if console.is_terminal else max(console.width, 100)
-    console.print(report_view(plan, report, title), width=width)
+    (console or _console()).print(report_view(plan, report, title))
+
+
+def _console() -> Console:
+    """A terminal as wide as it is; a file or a pipe as wide as this report needs."""
+    return Console(highlight=False, width=None if sys.stdout.isatty() else 100)
 
 
 def report_view(plan: Plan, report: Report | None, title: str = "") -> RenderableType:
@@ -76,15 +80,14 @@ def _headline(plan: Plan, title: str) -> Text:
 def risk_table(report: Report, verdicts: Sequence[CheckerVerdict], sampled: SampledRisk | None) -> Table:
     """Agents down, backends across; below them what holds for the whole trajectory."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-    table.add_column("collision risk", max_width=28, overflow="ellipsis", no_wrap=True)
+    table.add_column("collision risk", max_width=26, overflow="ellipsis", no_wrap=True)
     for v in verdicts:
         table.add_column(f"{v.checker}\n{v.kind}", justify="right")
     if sampled is not None:
-        table.add_column(f"Monte Carlo, {sampled.samples} samples\n{sampled.confidence:.0%} interval", justify="right")
+        table.add_column(f"Monte Carlo, {sampled.samples}\n{sampled.confidence:.0%} interval", justify="right")
     for i, name in enumerate(report.agents):
         cells = [_cell(v, lambda r, i=i: r.per_agent[i]) for v in verdicts]  # type: ignore[misc]
-        end = [i == len(report.agents) - 1]
-        table.add_row(Text(name), *cells, *_sampled(sampled, i), end_section=end[0])
+        table.add_row(Text(name), *cells, *_sampled(sampled, i), end_section=i == len(report.agents) - 1)
     for label, ends, pick in _TOTALS:
         cells = [_cell(v, pick, ends) for v in verdicts]
         table.add_row(label, *cells, *(_sampled(sampled, None) if label == "total" else ()))
@@ -94,8 +97,8 @@ def risk_table(report: Report, verdicts: Sequence[CheckerVerdict], sampled: Samp
 _TOTALS: tuple[tuple[str, Any, Any], ...] = (
     ("total", None, lambda r: r.total),
     ("largest step, all agents", None, lambda r: r.per_step.max()),
-    ("Frechet: at least", lower, lambda r: r.frechet[0]),
-    ("Frechet, Boole: at most", upper, lambda r: r.frechet[1]),
+    ("Fréchet interval: from", lower, lambda r: r.frechet[0]),
+    ("to (Boole)", upper, lambda r: r.frechet[1]),
 )
 
 
@@ -121,6 +124,8 @@ def _sampled(sampled: SampledRisk | None, agent: int | None) -> tuple[str, ...]:
 def _remarks(report: Report) -> Iterable[str]:
     if report.bound is not None:
         yield f"bound {report.bound:g}: the planner's own total is {'within' if report.within_bound else 'ABOVE'} it"
+    if any(v.kind != Kind.EXACT.value and v.risk is not None for v in report.verdicts):
+        yield "the low end of a Fréchet interval holds for exact marginals only"
     for v in report.verdicts:
         if v.problem:
             yield f"{v.checker}: {v.problem}"
@@ -143,3 +148,13 @@ def _times(plan: Plan, report: Report | None) -> Text:
         if isinstance(search, float | int) and search > 0:
             parts.append(f"{checks / search:.0f}/s")
     return Text(", ".join(parts), style="dim")
+
+
+def print_list(rows: dict[str, dict[str, str]], keys: Sequence[str], console: Console | None = None) -> None:
+    """What there is to choose from, one row each."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    for key in keys:
+        table.add_column(key, overflow="fold", no_wrap=key in ("name", "kind"))
+    for row in rows.values():
+        table.add_row(*(Text(row[key]) for key in keys))
+    (console or _console()).print(table)

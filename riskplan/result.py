@@ -11,7 +11,14 @@ import numpy as np
 from checkers import TrajectoryRisk
 from checkers.validate import Array
 
-STATUSES = ("solved", "no_plan_found", "start_at_risk", "start_in_obstacle", "goal_in_obstacle", "goal_unreachable")
+STATUSES = (
+    "solved",
+    "no_plan_found",
+    "start_at_risk",
+    "start_in_obstacle",
+    "goal_in_obstacle",
+    "goal_unreachable",
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -148,7 +148,7 @@ class Scenario:
     bounds: tuple[float, float, float, float]
     obstacles: tuple[Array, ...] = ()
     agents: tuple[Agent, ...] = ()
-    ego: EgoShape | None = None
+    ego: EgoShape = None  # type: ignore[assignment]  # replaced on construction
     vehicle: KinematicCar = field(default_factory=KinematicCar)
     time_step: float = 0.1
     horizon: float | None = None
@@ -220,7 +220,7 @@ class Scenario:
     @property
     def times(self) -> Array:
         """(steps + 1,) grid times from 0 [s]."""
-        return np.arange(self.steps + 1) * self.time_step
+        return np.arange(self.steps + 1, dtype=np.float64) * self.time_step
 
 
 def default_ego(vehicle: KinematicCar) -> EgoShape:

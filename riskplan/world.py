@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from checkers.validate import Array
 from riskplan.kernels import world as hot
@@ -22,7 +23,7 @@ class StaticWorld:
     scenario: Scenario
 
     @cached_property
-    def allowed(self) -> shapely.Geometry | None:
+    def allowed(self) -> BaseGeometry | None:
         """Where the body may be, as a polygon; None: everywhere within the bounds."""
         s = self.scenario
         if not s.drivable and not s.obstacles:
@@ -30,7 +31,7 @@ class StaticWorld:
         # the body reaches over the bounds of its centre
         margin = np.hypot(s.vehicle.length, s.vehicle.width)
         box = shapely.box(*s.bounds).buffer(margin, join_style="mitre")
-        area = box
+        area: BaseGeometry = box
         if s.drivable:
             # buffering there and back closes hairline gaps between neighbouring polygons
             union = shapely.union_all([shapely.Polygon(p).buffer(1e-2) for p in s.drivable]).buffer(-1e-2)
@@ -103,7 +104,7 @@ def pack_goal(scenario: Scenario) -> PackedGoal:
 
 def reachable_regions(scenario: Scenario, world: StaticWorld) -> list[GoalRegion]:
     """Goal regions of which some part is inside the bounds and, as far as the centre goes, allowed."""
-    area = shapely.box(*scenario.bounds)
+    area: BaseGeometry = shapely.box(*scenario.bounds)
     if world.allowed is not None:
         area = world.allowed.intersection(area)
     return [r for r in scenario.goal.regions if area.intersects(shapely.Polygon(r.polygon).buffer(0))]
@@ -141,7 +142,7 @@ def lane_segments(scenario: Scenario) -> Array:
     return np.ascontiguousarray(np.concatenate(rows)) if rows else np.zeros((0, 6))
 
 
-def _boundary(area: shapely.Geometry | None) -> Array:
+def _boundary(area: BaseGeometry | None) -> Array:
     """(E, 4) boundary segments, none longer than two cells."""
     if area is None or area.is_empty:
         return np.zeros((0, 4))

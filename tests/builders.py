@@ -84,7 +84,7 @@ def mixture(rng, steps=4, modes=3, per_step=False, **labels):
 
 
 def cases(rng, n, sigma=(0.05, 5.0), ratio=8.0, reach=6.0):
-    """n random (pose, mean, covariance): means from inside an ellipse of size about 2 to `reach` σ away from it."""
+    """n random (pose, mean, covariance): means from inside an ellipse of size about 2 to `reach` σ away."""
     poses = np.column_stack([rng.uniform(-50, 50, (n, 2)), rng.uniform(-7, 7, n)])
     small = np.exp(rng.uniform(*np.log(sigma), n))
     large = small * np.exp(rng.uniform(0, np.log(ratio), n))

@@ -26,9 +26,27 @@ def overtake(agents=3, modes=3, gap=25.0):
     lanes = tuple(np.array([[-50.0, y], [200.0, y]]) for y in (0.0, 3.5, 7.0))
     road = np.array([[-50, -1.75], [200, -1.75], [200, 8.75], [-50, 8.75]])
     cars = [
-        agent("slow", gap, 3.5, 8, ((0.7, 0, 0), (0.2, -0.8, 0), (0.1, 0, 3.5))[:modes] if modes > 1 else ((1.0, 0, 0),)),
-        agent("left", -10, 7, 14, ((0.6, 0, 0), (0.3, 0.5, 0), (0.1, 0, -3.5))[:modes] if modes > 1 else ((1.0, 0, 0),)),
-        agent("right", 35, 0, 10, ((0.8, 0, 0), (0.15, -0.5, 0), (0.05, 0, 3.5))[:modes] if modes > 1 else ((1.0, 0, 0),)),
+        agent(
+            "slow",
+            gap,
+            3.5,
+            8,
+            ((0.7, 0, 0), (0.2, -0.8, 0), (0.1, 0, 3.5))[:modes] if modes > 1 else ((1.0, 0, 0),),
+        ),
+        agent(
+            "left",
+            -10,
+            7,
+            14,
+            ((0.6, 0, 0), (0.3, 0.5, 0), (0.1, 0, -3.5))[:modes] if modes > 1 else ((1.0, 0, 0),),
+        ),
+        agent(
+            "right",
+            35,
+            0,
+            10,
+            ((0.8, 0, 0), (0.15, -0.5, 0), (0.05, 0, 3.5))[:modes] if modes > 1 else ((1.0, 0, 0),),
+        ),
     ]
     return rp.Scenario(
         start=rp.State(0, 3.5, 0, 12),

@@ -22,7 +22,11 @@ checker = rp.checker("exact")
 
 def run(code, timeout=60):
     done = subprocess.run(
-        [sys.executable, "-c", PRELUDE + textwrap.dedent(code)], capture_output=True, text=True, timeout=timeout, check=False
+        [sys.executable, "-c", PRELUDE + textwrap.dedent(code)],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout
@@ -82,7 +86,9 @@ COMPOUND = {
 def test_plain_rrt_keeps_the_step_bound(parts):
     bound = 0.05
     out = run(PLAN.format(bound=bound, **parts))
-    states = np.array([[float(v) for v in line.split()] for line in out.split("\n") if line and line[0] in "-0123456789"])
+    states = np.array(
+        [[float(v) for v in line.split()] for line in out.split("\n") if line and line[0] in "-0123456789"]
+    )
     scene = overtake()
     assert (np.diff(states[:, 3]) > 0).all()
     # judged by the public primitives on the grid, along the same straight lines

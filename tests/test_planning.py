@@ -91,7 +91,8 @@ def test_no_bound_minimises(scene, planner):
 
 @pytest.mark.parametrize("planner", PLANNERS)
 @pytest.mark.parametrize(
-    ("checker", "bound"), [("imhof", 0.1), ("halfspace", 0.9), ("chebyshev", 0.9), ("sos", 0.6), ("monte-carlo", 0.1)]
+    ("checker", "bound"),
+    [("imhof", 0.1), ("halfspace", 0.9), ("chebyshev", 0.9), ("sos", 0.6), ("monte-carlo", 0.1)],
 )
 def test_any_checker_by_name(planner, checker, bound):
     scene = overtake(agents=1, modes=1, gap=40.0)
@@ -138,7 +139,9 @@ def test_dependence_is_what_is_bounded(scene, dependence):
 class TestNoPlan:
     def test_bound_out_of_reach(self, scene):
         wall = agent("wall", 40, 3.5, 0.0, spread=4.0)
-        blocked = scene.with_agents([dataclasses.replace(wall, name=f"w{i}", means=wall.means + [0, 3.5 * (i - 1)]) for i in range(3)])
+        blocked = scene.with_agents(
+            [dataclasses.replace(wall, name=f"w{i}", means=wall.means + [0, 3.5 * (i - 1)]) for i in range(3)]
+        )
         for planner in PLANNERS:
             plan = rp.plan(blocked, planner=planner, bound=1e-6, time_limit=0.5)
             assert plan.status == "no_plan_found"
@@ -155,10 +158,15 @@ class TestNoPlan:
         s = scene.start
         block = np.array([[s.x + 1, s.y - 1], [s.x + 3, s.y - 1], [s.x + 3, s.y + 1]])
         for planner in PLANNERS:
-            assert rp.plan(dataclasses.replace(scene, obstacles=(block,)), planner=planner).status == "start_in_obstacle"
+            assert (
+                rp.plan(dataclasses.replace(scene, obstacles=(block,)), planner=planner).status == "start_in_obstacle"
+            )
 
     def test_goal_in_obstacle(self, scene):
-        low, high = scene.goal.regions[0].polygon.min(axis=0) - 1, scene.goal.regions[0].polygon.max(axis=0) + 1
+        low, high = (
+            scene.goal.regions[0].polygon.min(axis=0) - 1,
+            scene.goal.regions[0].polygon.max(axis=0) + 1,
+        )
         block = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         assert rp.plan(dataclasses.replace(scene, obstacles=(block,))).status == "goal_in_obstacle"
 
@@ -185,7 +193,10 @@ class TestRefusals:
             ({"seed": -1}, r"seed: expected an integer"),
             ({"seed": 1.5}, r"seed: expected an integer"),
             ({"dependence": "maybe"}, r"dependence: expected one of independent, boole"),
-            ({"motion_stepps": 3}, r"rrt: unknown option 'motion_stepps'; expected one of motion_steps, goal_bias"),
+            (
+                {"motion_stepps": 3},
+                r"rrt: unknown option 'motion_stepps'; expected one of motion_steps, goal_bias",
+            ),
         ],
     )
     def test_names_and_values(self, scene, options, message):
@@ -228,7 +239,8 @@ def test_translation_changes_nothing(scene):
         scene,
         start=rp.State(s.x + shift[0], s.y + shift[1], s.heading, s.speed),
         goal=rp.Goal(
-            tuple(dataclasses.replace(r, polygon=r.polygon + shift) for r in scene.goal.regions), scene.goal.time
+            tuple(dataclasses.replace(r, polygon=r.polygon + shift) for r in scene.goal.regions),
+            scene.goal.time,
         ),
         bounds=tuple(np.array(scene.bounds) + [*shift, *shift]),
         agents=tuple(dataclasses.replace(a, means=a.means + shift) for a in scene.agents),

@@ -50,4 +50,4 @@ class Exact(Checker):
     @property
     def search_slack(self) -> float:
         """Relative error of the coarse precision."""
-        return 1e-4
+        return 1e-3

@@ -38,9 +38,7 @@ def kernel(function):
 @intrinsic
 def call_kernel(typingctx, address, m1, m2, s11, s12, s22, moments, order, options, out):
     """Call the kernel at `address`; the last arrays are given by their data addresses."""
-    sig = types.float64(
-        types.int64, *[types.float64] * 5, types.uintp, types.int64, types.uintp, types.uintp
-    )
+    sig = types.float64(types.int64, *[types.float64] * 5, types.uintp, types.int64, types.uintp, types.uintp)
 
     def codegen(context, builder, signature, args):
         double, word = ir.DoubleType(), ir.IntType(64)

@@ -8,7 +8,7 @@ import numpy as np
 _ROOT_HALF = math.sqrt(0.5)
 # rows of a precision: window where the integrand exceeds e^−cut of its peak, nodes in it at first, accepted change
 FULL = np.array([40.0, 14.0, 1e-7])
-COARSE = np.array([16.0, 7.0, 3e-3])  # relative error 1e-4: for searching, not for stating
+COARSE = np.array([16.0, 7.0, 3e-3])  # relative error below 1e-3: for searching, not for stating
 _X6, _W6 = np.polynomial.legendre.leggauss(6)
 
 

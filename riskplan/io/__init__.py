@@ -32,7 +32,9 @@ def load_scenario(path: str | Path, problem: int = 0) -> Scenario:
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         later = "; Argoverse .csv and .parquet cannot be read yet" if suffix in (".csv", ".parquet") else ""
-        raise InputError(f"{path}: expected a scenario in one of {', '.join(SUFFIXES)}; got {suffix or 'no suffix'}{later}")
+        raise InputError(
+            f"{path}: expected a scenario in one of {', '.join(SUFFIXES)}; got {suffix or 'no suffix'}{later}"
+        )
     if suffix == ".xml":
         from riskplan.io.commonroad import load_commonroad  # noqa: PLC0415
 

@@ -62,7 +62,13 @@ def risk_to_dict(risk: TrajectoryRisk | None) -> dict[str, Any] | None:
 def report_to_dict(report: Report) -> dict[str, Any]:
     """What `report.json` holds."""
     verdicts = [
-        {"checker": v.checker, "kind": v.kind, "risk": risk_to_dict(v.risk), "seconds": v.seconds, "problem": v.problem}
+        {
+            "checker": v.checker,
+            "kind": v.kind,
+            "risk": risk_to_dict(v.risk),
+            "seconds": v.seconds,
+            "problem": v.problem,
+        }
         for v in report.verdicts
     ]
     sampled = None if report.sampled is None else plain(dict(vars(report.sampled)))
@@ -110,7 +116,9 @@ def plan_of(values: Any) -> Plan:
     """The plan that `plan_to_dict` described; every field is checked."""
     root = _Fields("", values)
     if root.get("format", str) != FORMAT or root.get("version", int) != VERSION:
-        raise InputError(f"format: expected {FORMAT} version {VERSION}, got {short(root.values.get('format'))}")
+        raise InputError(
+            f"format: expected {FORMAT} version {VERSION}, got {short(root.values.get('format'))}"
+        )
     steps, poses, speeds = _trajectory(root.within("trajectory"))
     bound = root.get("bound", float, type(None))
     settings, stats = root.get("settings", dict), root.get("stats", dict)
@@ -202,7 +210,8 @@ def _risk(root: _Fields, steps: int) -> TrajectoryRisk | None:
 def _marginals(rows: list[Any], steps: int) -> tuple[Array, ...]:
     names = [f"marginals[{i}]" for i in range(len(rows))]
     return tuple(
-        as_array(name, numbers(name, row), (steps, "K"), finite=False) for name, row in zip(names, rows, strict=True)
+        as_array(name, numbers(name, row), (steps, "K"), finite=False)
+        for name, row in zip(names, rows, strict=True)
     )
 
 

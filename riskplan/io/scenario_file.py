@@ -10,8 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from checkers import EgoCover, EgoEllipsoid, EgoShape, GaussianMixturePrediction, InputError, MomentPrediction
-from checkers import load_prediction
+from checkers import (
+    EgoCover,
+    EgoEllipsoid,
+    EgoShape,
+    GaussianMixturePrediction,
+    InputError,
+    MomentPrediction,
+    load_prediction,
+)
 from checkers.validate import Array
 from riskplan.io.schema import check_document
 from riskplan.io.text import numbers, read_bytes
@@ -36,7 +43,11 @@ def read_scenario(path: str | Path) -> Scenario:
 def scenario_of(document: dict[str, Any], folder: Path) -> Scenario:
     """The scenario of a document that fits the schema; agents' files are looked up in `folder`."""
     d = document
-    given = {key: d[key] for key in ("bounds", "time_step", "horizon", "obstacles", "drivable", "lanes", "name") if key in d}
+    given = {
+        key: d[key]
+        for key in ("bounds", "time_step", "horizon", "obstacles", "drivable", "lanes", "name")
+        if key in d
+    }
     return Scenario(
         start=State(**d["start"]),
         goal=_goal(d["goal"]),
@@ -81,7 +92,10 @@ def _ego(d: dict[str, Any]) -> EgoShape:
         raise InputError(f"ego.{kind}.{error}") from None
 
 
-_CLASSES: dict[str, Callable[..., Agent]] = {"gaussian": GaussianMixturePrediction, "moments": MomentPrediction}
+_CLASSES: dict[str, Callable[..., Agent]] = {
+    "gaussian": GaussianMixturePrediction,
+    "moments": MomentPrediction,
+}
 
 
 def _agent(index: int, d: dict[str, Any], folder: Path) -> Agent:
@@ -115,7 +129,9 @@ def _keep_weights(agent: Agent, weights: Array) -> Agent:
 
 
 def _from_file(name: str, folder: Path) -> Agent:
-    inside = not (PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive or ".." in Path(name).parts)
+    inside = not (
+        PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive or ".." in Path(name).parts
+    )
     if not inside or not name.endswith(".npz"):
         raise InputError(f"file: expected an .npz in the scenario's directory or below, got {name!r}")
     try:

@@ -42,7 +42,12 @@ def scenario_text(scenario: Scenario) -> str:
 
 
 def _goal(goal: Goal) -> list[str]:
-    return ["goal:", f"  time: {_flow(goal.time)}", "  regions:", *(line for r in goal.regions for line in _region(r))]
+    return [
+        "goal:",
+        f"  time: {_flow(goal.time)}",
+        "  regions:",
+        *(line for r in goal.regions for line in _region(r)),
+    ]
 
 
 def _region(region: GoalRegion) -> list[str]:

@@ -65,7 +65,9 @@ def _line(error: ValidationError) -> str:
     limit: Any = error.validator_value
     if rule == "additionalProperties":
         key = next(k for k in value if k not in schema["properties"])
-        return f"{_join(where, short_key(key))}: unknown key; expected one of {', '.join(schema['properties'])}"
+        return (
+            f"{_join(where, short_key(key))}: unknown key; expected one of {', '.join(schema['properties'])}"
+        )
     if rule == "required":
         key = next(k for k in limit if k not in value)
         return f"{_join(where, key)}: missing; expected keys {', '.join(limit)}"

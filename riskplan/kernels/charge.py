@@ -24,9 +24,7 @@ def row_risk(address, options, order, row, pieces, first, last, x, y, cos, sin, 
     holds for every direction and hence for that of m, is charged for every piece where it is below `negligible` or
     small beside the likeliest piece: the value is then high by at most `_MINOR` per piece.
     """
-    d1, d2, e11, e12, e22 = to_ego(
-        x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22]
-    )
+    d1, d2, e11, e12, e22 = to_ego(x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22])
     value, top, largest = 0.0, -1, 0.0
     if negligible > 0.0:
         for p in range(first, last):
@@ -78,13 +76,40 @@ def marginals(address, options, order, rows, index, pieces, poses, first_step, o
             out[s, m] = np.nan
             if not math.isnan(row[WEIGHT]):
                 out[s, m] = row_risk(
-                    address, options, order, row, pieces, index[m, 1], index[m, 2], x, y, cos, sin, 0.0, scratch, extra
+                    address,
+                    options,
+                    order,
+                    row,
+                    pieces,
+                    index[m, 1],
+                    index[m, 2],
+                    x,
+                    y,
+                    cos,
+                    sin,
+                    0.0,
+                    scratch,
+                    extra,
                 )
 
 
 @nb.njit(cache=True)
 def charge(
-    address, options, order, rows, index, pieces, groups, additive, negligible, given, poses, first_step, before, limit, after
+    address,
+    options,
+    order,
+    rows,
+    index,
+    pieces,
+    groups,
+    additive,
+    negligible,
+    given,
+    poses,
+    first_step,
+    before,
+    limit,
+    after,
 ):
     """Add the risk of poses (S, 3) at grid steps first_step… to the accumulators; return the total so far.
 
@@ -120,7 +145,20 @@ def charge(
                 if dx * dx + dy * dy > row[CULL]:
                     continue
                 r = row_risk(
-                    address, options, order, row, pieces, index[m, 1], index[m, 2], x, y, cos, sin, negligible, scratch, out
+                    address,
+                    options,
+                    order,
+                    row,
+                    pieces,
+                    index[m, 1],
+                    index[m, 2],
+                    x,
+                    y,
+                    cos,
+                    sin,
+                    negligible,
+                    scratch,
+                    out,
                 )
             g = index[m, 0]
             step_risk[g] += weight * r

@@ -41,7 +41,14 @@ def connect(sources, targets, radius, shortest_edge, longest_edge, most):
             if abs(wrap(targets[j, 2] - sources[i, 2])) > 1.7:
                 continue
             length = shortest(
-                sources[i, 0], sources[i, 1], sources[i, 2], targets[j, 0], targets[j, 1], targets[j, 2], radius, curves[count]
+                sources[i, 0],
+                sources[i, 1],
+                sources[i, 2],
+                targets[j, 0],
+                targets[j, 1],
+                targets[j, 2],
+                radius,
+                curves[count],
             )
             if length > 1.15 * straight + 0.2:
                 continue

@@ -7,7 +7,22 @@ import numpy as np
 
 
 @nb.njit(cache=True)
-def body_free(x, y, heading, half_length, half_width, bounds, origin, cell, cells_x, cells_y, start, items, segments, inside):
+def body_free(
+    x,
+    y,
+    heading,
+    half_length,
+    half_width,
+    bounds,
+    origin,
+    cell,
+    cells_x,
+    cells_y,
+    start,
+    items,
+    segments,
+    inside,
+):
     """Whether the rectangle touches no boundary segment and its centre is allowed.
 
     Segments (E, 4) are bucketed in square cells: start (cells+1,), items; every segment that the body of a car centred

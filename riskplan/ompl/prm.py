@@ -53,7 +53,8 @@ class Roadmap:
     def of(cls, vertices: Array, radius: float, longest: float) -> Roadmap:
         """Connect the vertices."""
         vertices = as_array("vertices", vertices, ("V", 3))
-        return cls(vertices, *connect(vertices, vertices, radius, 2.0, longest, _EDGES), radius, longest)
+        ends, curves, lengths = connect(vertices, vertices, radius, 2.0, longest, _EDGES)
+        return cls(vertices, ends, curves, lengths, radius, longest)
 
     @classmethod
     def build(cls, scenario: Scenario, size: int = 1000, seed: int = 0) -> Roadmap:
@@ -188,7 +189,7 @@ class _Sampler:
 
 
 class _AnyMotion(ob.MotionValidator):
-    """Lets OMPL's PRM join whatever it likes: its undirected edges are not used, but only joined vertices are exported."""
+    """Lets OMPL's PRM join what it likes: its undirected edges are not used, but only joined vertices are exported."""
 
     def __init__(self, si: Any) -> None:
         super().__init__(si)
@@ -256,7 +257,15 @@ class _Query:
             for edge, steps, acceleration, key in room[:count].tolist():
                 serial += 1
                 rank = max(key, goal.earliest) if budget.bound is not None else _decade(total)
-                entry = (rank, -min(step + steps, goal.latest), serial, number, int(edge), int(steps), acceleration)
+                entry = (
+                    rank,
+                    -min(step + steps, goal.latest),
+                    serial,
+                    number,
+                    int(edge),
+                    int(steps),
+                    acceleration,
+                )
                 heapq.heappush(heap, entry)
 
         push(0)
@@ -359,5 +368,3 @@ def _edge_scale(scenario: Scenario) -> tuple[float, float]:
     pace = min(v.max_speed, max(scenario.start.speed + 2.0, 5.0))
     radius = max(1.0 / v.max_curvature, pace * pace / v.max_lateral_acceleration)
     return radius, max(2.0 * pace, 10.0)
-
-

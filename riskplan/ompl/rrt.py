@@ -90,7 +90,12 @@ class _Tree:
         self.lowest_seen = np.inf
         limits = pack_limits(problem.scenario.vehicle)
         goal = problem.goal
-        self._fixed = (problem.scenario.time_step, limits, lane_segments(problem.scenario), problem.world.packed)
+        self._fixed = (
+            problem.scenario.time_step,
+            limits,
+            lane_segments(problem.scenario),
+            problem.world.packed,
+        )
         self._goal = (goal.arrays, goal.earliest, goal.latest)
         self._out = np.empty((motion_steps, 4))
 
@@ -234,5 +239,3 @@ def _space_information(space: Any, problem: Problem, tree: _Tree) -> Any:
     )
     si.setup()
     return si
-
-
