@@ -11,10 +11,10 @@ import numpy as np
 from checkers.kernels.lift import batch_risk
 from checkers.kernels.whiten import pack_pieces, whiten_all
 from checkers.kind import Kind
-from checkers.prediction import GaussianMixturePrediction, Prediction
+from checkers.prediction import GaussianMixturePrediction, MomentPrediction, Prediction
 from checkers.risk import Risk
 from checkers.shapes import EgoShape
-from checkers.validate import Array, InputError
+from checkers.validate import FARTHEST, Array, InputError, as_array
 
 
 @dataclass(frozen=True)
@@ -136,12 +136,12 @@ class Checker(ABC):
         Raises:
             InputError: on wrong shapes, poses that are not finite, or an agent that lacks what the backend needs.
         """
-        poses = np.asarray(poses, dtype=np.float64)
+        if not isinstance(pred, GaussianMixturePrediction | MomentPrediction):
+            raise InputError(f"pred: expected a prediction, got {type(pred).__name__}")
+        if not hasattr(ego, "pieces"):
+            raise InputError(f"ego: expected a shape such as EgoEllipsoid, got {type(ego).__name__}")
         steps, count = pred.means.shape[:2]
-        if poses.ndim not in (2, 3) or poses.shape[-2:] != (steps, 3):
-            raise InputError(f"poses: expected shape ({steps}, 3) or (B, {steps}, 3), got {poses.shape}")
-        if not np.isfinite(poses).all():
-            raise InputError(f"poses{np.argwhere(~np.isfinite(poses))[0].tolist()}: expected a finite number")
+        poses = _as_poses(poses, steps)
         arrays = self.arrays(pred)
         pieces = pack_pieces(*ego.pieces(pred))
         batch = np.ascontiguousarray(poses.reshape(-1, steps, 3))
@@ -149,9 +149,12 @@ class Checker(ABC):
             out = np.empty((3, len(batch), steps, count))
             batch_risk(self.kernel, self.options, pieces, batch, *arrays[:3], arrays.order, out[0], out[1], out[2])
         else:
-            out = np.stack([self._by_arrays(one, arrays, pieces) for one in batch], axis=1)
+            out = np.empty((3, len(batch), steps, count))
+            for b, one in enumerate(batch):
+                out[:, b] = self._by_arrays(one, arrays, pieces)
         shape = (*poses.shape[:-1], count)
         value, error, lower = (a.reshape(shape) for a in out)
+        value = self.answered(value)
         return Risk(
             value,
             self.kind_for(len(pieces)),
@@ -160,8 +163,30 @@ class Checker(ABC):
             self.info.name,
         )
 
+    def answered(self, value: Array) -> Array:
+        """The values without NaN: where a bound does not know it is 1, and an exact backend that fails says so."""
+        unknown = np.isnan(value)
+        if not unknown.any():
+            return value
+        if self.info.kind is Kind.UPPER_BOUND:
+            return np.where(unknown, 1.0, value)
+        where = np.argwhere(unknown)[0].tolist()
+        raise InputError(f"{self.info.name}: cannot evaluate the mode at {where}: its numbers are too extreme")
+
     def _by_arrays(self, poses: Array, arrays: ModeArrays, pieces: Array) -> Array:
         m, s, c = whiten_all(poses, *arrays, pieces)
         flat = self.modes(m.reshape(-1, 2), s.reshape(-1, 3), c.reshape(-1, c.shape[-1]), arrays.order)
         value, error, lower = (a.reshape(m.shape[:3]) for a in flat)
         return np.stack([np.minimum(value.sum(axis=-1), 1.0), error.sum(axis=-1), lower.max(axis=-1)])
+
+
+def _as_poses(value: Any, steps: int) -> Array:
+    """(T, 3) or (B, T, 3) finite numbers; B may be 0."""
+    expected = f"expected shape ({steps}, 3) or (B, {steps}, 3)"
+    try:
+        poses = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"poses: {expected}, got {type(value).__name__}: {error}") from None
+    if poses.ndim not in (2, 3) or poses.shape[-2:] != (steps, 3):
+        raise InputError(f"poses: {expected}, got {poses.shape}")
+    return as_array("poses", poses, poses.shape, largest=FARTHEST)

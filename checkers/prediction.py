@@ -6,10 +6,12 @@ from copy import copy
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 
 from checkers.validate import (
+    FARTHEST,
     Array,
     InputError,
     as_array,
@@ -87,6 +89,7 @@ class GaussianMixturePrediction:
 
     def moments(self, order: int) -> MomentPrediction:
         """The same agent as central moments up to `order`, exact (Isserlis 1918, as a recursion)."""
+        _check_order(order)
         return MomentPrediction(
             self.times,
             self.weights,
@@ -97,6 +100,8 @@ class GaussianMixturePrediction:
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         """(n, T, 2) trajectories; a persistent mode is drawn once, steps are independent given the mode."""
+        if not isinstance(n, int | np.integer) or n < 0:
+            raise InputError(f"sample: expected a count >= 0, got {n!r}")
         steps, count = self.means.shape[:2]
         if self.modes == "persistent":
             mode = np.broadcast_to(rng.choice(count, size=(n, 1), p=self.weights), (n, steps))
@@ -139,10 +144,12 @@ class MomentPrediction:
 
     def __post_init__(self) -> None:
         steps, modes = _check_common(self)
-        n = np.shape(self.central_moments)[-1] - 1 if np.ndim(self.central_moments) == 4 else 2
-        if n < 2:
-            raise InputError(f"central_moments: expected order >= 2, got {n}")
-        values = as_array("central_moments", self.central_moments, (steps, modes, n + 1, n + 1), finite=False)
+        values = as_array("central_moments", self.central_moments, (steps, modes, "n+1", "n+1"), finite=False)
+        n = values.shape[-1] - 1
+        if n < 2 or values.shape[-2] != n + 1:
+            raise InputError(
+                f"central_moments: expected shape ({steps}, {modes}, n+1, n+1), n >= 2, got {values.shape}"
+            )
         known = np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n
         bad = np.argwhere(~np.isfinite(values) & known)
         if len(bad):
@@ -156,6 +163,7 @@ class MomentPrediction:
         clean.flags.writeable = False
         object.__setattr__(self, "central_moments", clean)
         as_covariances("central_moments (order 2)", self.covariances, (steps, modes))
+        _check_moment_matrix(clean)
 
     @property
     def order(self) -> int:
@@ -191,6 +199,7 @@ class MomentPrediction:
 
     def moments(self, order: int) -> MomentPrediction:
         """The same agent with fewer moments; asking for more than are carried is an error."""
+        _check_order(order)
         if order > self.order:
             raise InputError(
                 f"moments: {self.name or 'agent'} carries moments up to order {self.order}, asked for {order}"
@@ -214,11 +223,12 @@ _CLASSES: dict[str, Any] = {"gaussian": GaussianMixturePrediction, "moments": Mo
 def load_prediction(path: str | Path) -> Prediction:
     """Read what `save` wrote; files with pickled objects are refused."""
     try:
-        with np.load(path, allow_pickle=False) as data:
+        # opened here, so that it is closed even if numpy cannot read it
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
             values = {key: data[key] for key in data.files}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (ValueError, OSError, EOFError) as error:
+    except (ValueError, OSError, EOFError, BadZipFile, AttributeError, TypeError) as error:
         raise InputError(f"{path}: not a prediction file: {error}") from None
     kind = str(values.pop("type", ""))
     as_option(f"{path}: type", kind, tuple(_CLASSES))
@@ -245,11 +255,38 @@ def gaussian_central_moments(covariances: Any, order: int) -> Array:
     return out
 
 
+def _check_order(order: Any) -> None:
+    if not isinstance(order, int | np.integer) or isinstance(order, bool) or order < 2:
+        raise InputError(f"moments: expected an order >= 2, got {order!r}")
+
+
+def _check_moment_matrix(moments: Array) -> None:
+    """Refuse moments that no distribution has: E[p(x, y)²] must not be negative for any polynomial p.
+
+    The matrix of E[x^(a+c) y^(b+d)] over monomials up to half the order, scaled to a unit diagonal, must be positive
+    semi-definite; singular ones (point masses) pass.
+    """
+    half = (moments.shape[-1] - 1) // 2
+    powers = [(a, b) for a in range(half + 1) for b in range(half + 1 - a)]
+    matrix = np.array([[moments[..., a + c, b + d] for c, d in powers] for a, b in powers])
+    matrix = np.moveaxis(matrix, (0, 1), (-2, -1))
+    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
+    size = np.sqrt(np.maximum(diagonal, 0.0))
+    scaled = matrix / np.where(size > 0, size, 1.0)[..., :, None] / np.where(size > 0, size, 1.0)[..., None, :]
+    bad = np.argwhere((np.linalg.eigvalsh(scaled)[..., 0] < -1e-8) | (diagonal < 0).any(axis=-1))
+    if len(bad):
+        t, k = (int(i) for i in bad[0])
+        raise InputError(
+            f"central_moments[{t}, {k}]: expected moments that some distribution has, "
+            "got a moment matrix that is not positive semi-definite"
+        )
+
+
 def _check_common(pred: Any) -> tuple[int, int]:
     """Validate and freeze the fields both predictions share; return (T, K)."""
     times = as_times("times", pred.times)
     steps = len(times)
-    means = as_array("means", pred.means, (steps, "K", 2))
+    means = as_array("means", pred.means, (steps, "K", 2), largest=FARTHEST)
     modes = means.shape[1]
     as_option("modes", pred.modes, MODES)
     weights = as_weights("weights", pred.weights, steps, modes)

@@ -30,6 +30,13 @@ class Risk:
     lower: Array | None = None
     checker: str = ""
 
+    def __post_init__(self) -> None:
+        # NaN, "not known", is allowed here and stays NaN in every sum
+        bad = np.argwhere((self.value < 0.0) | (self.value > 1.0))
+        if len(bad):
+            got = self.value[tuple(bad[0])]
+            raise InputError(f"risk.value{bad[0].tolist()}: expected a probability in [0, 1], got {got!r}")
+
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryRisk:
@@ -89,6 +96,10 @@ def trajectory_risk(
     for index, (risk, pred) in enumerate(zip(risks, predictions, strict=True)):
         if risk.value.shape[-2:] != pred.means.shape[:2]:
             raise InputError(f"risks[{index}].value: expected (..., {pred.means.shape[:2]}), got {risk.value.shape}")
+        if len(pred.times) != len(predictions[0].times) or np.abs(pred.times - predictions[0].times).max() > 1e-6:
+            raise InputError(
+                f"predictions[{index}].times: expected one time grid for all agents; resample with .at(times)"
+            )
         marginal = (pred.step_weights * risk.value).sum(axis=-1)
         if dependence == "boole":
             total = marginal.sum(axis=-1)
@@ -96,20 +107,21 @@ def trajectory_risk(
             total = (pred.weights * _any(risk.value, axis=-2)).sum(axis=-1)
         else:
             total = _any(marginal, axis=-1)
-        agents.append(np.minimum(total, 1.0))
+        agents.append(np.minimum(total, 1.0) + 0.0)  # no negative zero
         steps.append(marginal)
         booles.append(marginal.sum(axis=-1))
         tops.append(marginal.max(axis=-1))
     if len({m.shape for m in steps}) != 1:
         raise InputError(f"risks: expected one time grid for all agents, got shapes {[m.shape for m in steps]}")
     per_agent = np.stack(agents, axis=-1)
+    summed = dependence == "boole" or len(risks) > 1  # a sum over events that may coincide is a bound
     return TrajectoryRisk(
         total=np.minimum(per_agent.sum(axis=-1), 1.0),
         per_agent=per_agent,
         per_step=np.minimum(np.sum(steps, axis=0), 1.0),
         boole=np.minimum(np.sum(booles, axis=0), 1.0),
         max_step=np.minimum(np.max(tops, axis=0), 1.0),
-        kind=Kind.weakest([r.kind for r in risks] + ([Kind.UPPER_BOUND] if dependence == "boole" else [])),
+        kind=Kind.weakest([r.kind for r in risks] + ([Kind.UPPER_BOUND] if summed else [])),
         dependence=dependence,
     )
 

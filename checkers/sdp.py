@@ -8,20 +8,24 @@ from numpy.polynomial import polynomial as P
 from checkers.validate import Array
 
 
-def indicator_bound(moments: Array, x0: float) -> float:
+def indicator_bound(moments: Array, noise: Array, x0: float) -> float:
     """Certified upper bound on P(X ≤ x₀) from standardised moments 0…d, d even (Jasour et al. 2021, eq. 18).
 
     min Σ c_k E[X^k] with p = Σ c_k x^k SOS and p − 1 = s₁ + (x₀ − x) s₂, both SOS. The polynomial is scaled to the
     size of the top moment for the solver; the value returned is E[p] for the returned p, lifted by the deficits of
     p ≥ 0 on ℝ and p ≥ 1 on x ≤ x₀, found at their critical points.
     """
-    degree = len(moments) - 1
+    degree = _usable(moments, noise)
+    if degree == 0 or not np.isfinite(x0):
+        return 1.0
+    moments, noise, x0 = moments[: degree + 1], noise[: degree + 1], x0 + float(noise[1])
     scale = float(max(moments[degree], 1.0) ** (1.0 / degree))
     scaled = moments / scale ** np.arange(degree + 1)
     coefficients = _solve(scaled, x0 / scale)
     if coefficients is None:
         return 1.0
-    return certified_value(coefficients, scaled, x0 / scale)
+    uncertain = float(np.abs(coefficients) @ (noise / scale ** np.arange(degree + 1)))
+    return min(1.0, certified_value(coefficients, scaled, x0 / scale) + uncertain)
 
 
 def certified_value(coefficients: Array, moments: Array, x0: float) -> float:
@@ -35,7 +39,20 @@ def certified_value(coefficients: Array, moments: Array, x0: float) -> float:
     left = points <= x0
     lift = max(0.0, -float(values.min()), 1.0 - float(values[left].min()))
     slack = 1e-12 * float(np.abs(coefficients) @ np.abs(moments))
-    return float(min(1.0, coefficients @ moments + lift + slack))
+    return float(min(1.0, max(0.0, coefficients @ moments) + lift + slack))
+
+
+def _usable(moments: Array, noise: Array) -> int:
+    """The highest even order whose Hankel matrix is positive definite beyond noise; a solver makes nonsense of others."""
+    for degree in range(len(moments) - 1, 0, -2):
+        hankel = np.array([[moments[i + j] for j in range(degree // 2 + 1)] for i in range(degree // 2 + 1)])
+        if not np.isfinite(hankel).all():
+            continue
+        size = np.sqrt(np.maximum(np.diag(hankel), 0.0))
+        if (size > 0).all() and np.linalg.eigvalsh(hankel / np.outer(size, size))[0] > 1e-12:
+            if float((noise[: degree + 1] / np.maximum(np.abs(moments[: degree + 1]), 1.0)).max()) < 1e-6:
+                return degree
+    return 0
 
 
 def _solve(moments: Array, x0: float) -> Array | None:
@@ -68,7 +85,10 @@ def _solve(moments: Array, x0: float) -> Array | None:
         ],
         settings,
     )
-    solution = np.asarray(solver.solve().x)
+    answer = solver.solve()
+    solution = np.asarray(answer.x)
+    if str(answer.status) not in ("Solved", "AlmostSolved"):
+        return None
     if solution.shape != (count,) or not np.isfinite(solution).all():
         return None
     coefficients: Array = blocks[0] @ solution[: blocks[0].shape[1]]

@@ -123,20 +123,27 @@ class EgoCover:
 def smallest_ellipse(points: Array) -> Array:
     """Q of the smallest-area origin-centred ellipse that contains `points` (N, 2) and their mirror images.
 
-    Khachiyan's (1996) coordinate ascent; the result is scaled until the farthest point lies on the boundary, so
+    Khachiyan's (1996) coordinate ascent with away steps (Todd & Yıldırım 2007); the result is scaled until the farthest point lies on the boundary, so
     containment holds exactly however early the ascent stops.
     """
-    weights = np.full(len(points), 1.0 / len(points))
-    for _ in range(10_000):
-        inverse = np.linalg.inv(np.einsum("n,ni,nj->ij", weights, points, points))
-        reach = np.einsum("ni,ij,nj->n", points, inverse, points)
-        far = int(np.argmax(reach))
-        if reach[far] <= 2.0 * (1 + 1e-9):
+    scale = np.abs(points).max(axis=0)  # to a box of about unit size: conditioning is then the shape's own
+    unit = points / scale
+    weights = np.full(len(unit), 1.0 / len(unit))
+    for _ in range(2_000):
+        inverse = np.linalg.inv((weights[:, None] * unit).T @ unit)
+        reach = ((unit @ inverse) * unit).sum(axis=1)
+        far, near = int(np.argmax(reach)), int(np.argmin(np.where(weights > 0, reach, np.inf)))
+        if max(reach[far] - 2.0, 2.0 - reach[near]) <= 1e-9:
             break
-        step = (reach[far] / 2.0 - 1.0) / (reach[far] - 1.0)
+        # towards the farthest point, or away from the nearest one that still has weight
+        pick = far if reach[far] - 2.0 >= 2.0 - reach[near] else near
+        step = (reach[pick] / 2.0 - 1.0) / (reach[pick] - 1.0)
+        if pick == near and reach[near] - 1.0 <= 0.0:
+            step = -np.inf
+        step = max(step, -weights[pick] / (1.0 - weights[pick])) if pick == near else step
         weights = (1 - step) * weights
-        weights[far] += step
-    q: Array = inverse / (reach.max() * (1 + 1e-12))
+        weights[pick] = max(weights[pick] + step, 0.0)
+    q: Array = inverse / (reach.max() * (1 + 1e-12)) / np.outer(scale, scale)
     return 0.5 * (q + q.T)
 
 
@@ -170,10 +177,10 @@ def _bounding_box(length: float, width: float, heading: float) -> tuple[float, f
 
 def _sizes(length: float, width: float, agent_length: float, agent_width: float) -> tuple[float, float, float, float]:
     return (
-        as_scalar("length", length, low=0.0, strict=True),
-        as_scalar("width", width, low=0.0, strict=True),
-        as_scalar("agent_length", agent_length, low=0.0),
-        as_scalar("agent_width", agent_width, low=0.0),
+        as_scalar("length", length, low=1e-6, high=1e6),
+        as_scalar("width", width, low=1e-6, high=1e6),
+        as_scalar("agent_length", agent_length, low=0.0, high=1e6),
+        as_scalar("agent_width", agent_width, low=0.0, high=1e6),
     )
 
 
@@ -181,6 +188,11 @@ def _positive_definite(name: str, value: Array) -> Array:
     q = as_array(name, value, (2, 2))
     if abs(q[0, 1] - q[1, 0]) > 1e-9 * np.abs(q).max():
         raise InputError(f"{name}: expected a symmetric matrix, got {q.tolist()}")
-    if np.linalg.eigvalsh(q)[0] <= 0:
+    try:
+        root = np.linalg.cholesky(q)
+        sound = np.linalg.eigvalsh(q)[0] > 0 and root[1, 1] > 1e-7 * root[0, 0] and root[0, 0] > 1e-7 * root[1, 1]
+    except np.linalg.LinAlgError:
+        sound = False
+    if not sound:
         raise InputError(f"{name}: expected a positive definite matrix, got {q.tolist()}")
     return q

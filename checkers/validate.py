@@ -11,15 +11,26 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+# metres: beyond, squares and powers of coordinates lose all meaning
+FARTHEST = 1e9
+
+
 class InputError(ValueError):
     """Malformed input. The message is one line that names the field, the index, what was expected and what came."""
 
 
-def as_array(name: str, value: Any, shape: Sequence[int | str], *, finite: bool = True) -> Array:
-    """Copy `value` into a read-only float64 array of `shape` (letters stand for any length ≥ 1)."""
+def as_array(
+    name: str, value: Any, shape: Sequence[int | str], *, finite: bool = True, largest: float = np.inf
+) -> Array:
+    """Copy `value` into a read-only float64 array of `shape` (letters stand for any length ≥ 1).
+
+    No entry may exceed `largest` in size.
+    """
     try:
+        if np.iscomplexobj(value):
+            raise TypeError("complex numbers")
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{name}: expected numbers of shape {_show(shape)}, got {type(value).__name__}: {error}"
         ) from None
@@ -33,6 +44,11 @@ def as_array(name: str, value: Any, shape: Sequence[int | str], *, finite: bool 
         if len(bad):
             index = tuple(int(i) for i in bad[0])
             raise InputError(f"{name}{_at(index)}: expected a finite number, got {array[index]}")
+    if largest < np.inf:
+        bad = np.argwhere(np.abs(array) > largest)
+        if len(bad):
+            index = tuple(int(i) for i in bad[0])
+            raise InputError(f"{name}{_at(index)}: expected a size of at most {largest:g}, got {array[index]:g}")
     array.flags.writeable = False
     return array
 
@@ -68,8 +84,8 @@ def as_times(name: str, value: Any) -> Array:
 
 def as_weights(name: str, value: Any, steps: int, modes: int) -> Array:
     """Mode weights (K,) or (T, K), non-negative, summing to 1 within 1e-6, then normalised exactly."""
-    ndim = np.ndim(value)
-    weights = as_array(name, value, (modes,) if ndim == 1 else (steps, modes))
+    weights = as_array(name, value, (modes,) if _depth(value) == 1 else (steps, modes))
+    ndim = weights.ndim
     negative = np.argwhere(weights < 0)
     if len(negative):
         index = tuple(int(i) for i in negative[0])
@@ -88,7 +104,7 @@ def as_weights(name: str, value: Any, steps: int, modes: int) -> Array:
 
 def as_covariances(name: str, value: Any, shape: Sequence[int | str]) -> Array:
     """Symmetric positive semi-definite (…, 2, 2) matrices."""
-    covariances = as_array(name, value, (*shape, 2, 2))
+    covariances = as_array(name, value, (*shape, 2, 2), largest=FARTHEST**2)
     scale = np.abs(covariances).max(axis=(-2, -1))
     skew = np.abs(covariances[..., 0, 1] - covariances[..., 1, 0])
     _refuse_first(name, skew > 1e-9 * scale, covariances, "a symmetric matrix")
@@ -104,6 +120,13 @@ def _refuse_first(name: str, bad: NDArray[np.bool_], values: Array, expected: st
     if len(where):
         index = tuple(int(i) for i in where[0])
         raise InputError(f"{name}{_at(index)}: expected {expected}, got {values[index].tolist()}")
+
+
+def _depth(value: Any) -> int:
+    """Number of axes of nested sequences, ragged ones included."""
+    if isinstance(value, np.ndarray):
+        return value.ndim
+    return 1 + _depth(value[0]) if isinstance(value, list | tuple) and len(value) else 0
 
 
 def _show(shape: Sequence[int | str]) -> str:

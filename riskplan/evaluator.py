@@ -153,6 +153,8 @@ class RiskEvaluator:
             rows = np.empty((len(poses), len(g.index)))
             options = self.checker.options
             hot.marginals(self.checker.kernel, options, g.order, g.rows, g.index, g.pieces, poses, 0, rows)
+            begun = ~np.isnan(g.rows[: len(poses), :, hot.WEIGHT])
+            rows[begun] = self.checker.answered(rows[begun])
         else:
             rows = self._given(poses, 0)
             rows[np.isnan(g.rows[: len(poses), :, hot.WEIGHT])] = np.nan

@@ -88,9 +88,7 @@ def cases(rng, n, sigma=(0.05, 5.0), ratio=8.0, reach=6.0):
     poses = np.column_stack([rng.uniform(-50, 50, (n, 2)), rng.uniform(-7, 7, n)])
     small = np.exp(rng.uniform(*np.log(sigma), n))
     large = small * np.exp(rng.uniform(0, np.log(ratio), n))
-    covs = np.stack(
-        [covariance(a, b, t) for a, b, t in zip(small, large, rng.uniform(0, np.pi, n), strict=True)]
-    )
+    covs = np.stack([covariance(a, b, t) for a, b, t in zip(small, large, rng.uniform(0, np.pi, n), strict=True)])
     way = rng.uniform(0, 2 * np.pi, n)
     way = np.column_stack([np.cos(way), np.sin(way)])
     sigma_way = np.sqrt(np.einsum("ni,nij,nj->n", way, covs, way))
@@ -111,8 +109,7 @@ def discrete(points, weights, order):
         for i in range(order + 1):
             for j in range(order + 1 - i):
                 terms = [
-                    w * (p[0] - mean[0]) ** i * (p[1] - mean[1]) ** j
-                    for w, p in zip(weights, points, strict=True)
+                    w * (p[0] - mean[0]) ** i * (p[1] - mean[1]) ** j for w, p in zip(weights, points, strict=True)
                 ]
                 out[i, j] = float(mp.fsum(terms))
         return MomentPrediction([0.0], [1.0], [[[float(v) for v in mean]]], out[None, None])

@@ -14,14 +14,16 @@ from checkers.kind import Kind
 
 @kernel
 def _kernel(m1, m2, s11, s12, s22, moments, order, options, out):  # type: ignore[no-untyped-def]
-    form = np.empty(3)
+    form, noise = np.empty(3), np.zeros(3)
     if order == 0:
-        mean, sd = gaussian_form(m1, m2, s11, s12, s22, 2, form)
+        mean, sd = gaussian_form(m1, m2, s11, s12, s22, 2, form, noise)
     else:
-        mean, sd = general_form(m1, m2, carray(moments, (order + 1) ** 2), order, 2, form)
+        mean, sd = general_form(m1, m2, carray(moments, (order + 1) ** 2), order, 2, form, noise)
+    mean -= noise[1] * sd  # outward: rounding must not lower the bound
     if mean <= 0.0:
         return 1.0
-    return sd * sd / (sd * sd + mean * mean)
+    variance = sd * sd * (1.0 + 1e-14)
+    return min(variance / (variance + mean * mean) * (1.0 + 1e-15), 1.0)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ def _kernel(m1, m2, s11, s12, s22, moments, order, options, out):  # type: ignor
         a1, a2 = math.cos(angle), math.sin(angle)
         gap = a1 * m1 + a2 * m2 - 1.0
         if gap > 0.0:
-            variance = a1 * a1 * s11 + 2.0 * a1 * a2 * s12 + a2 * a2 * s22
+            # the sum cancels for a direction without spread: what rounding can hide is added, not lost
+            variance = max(a1 * a1 * s11 + 2.0 * a1 * a2 * s12 + a2 * a2 * s22, 0.0) + 1e-15 * (s11 + s22)
             best = min(best, variance / (variance + gap * gap))
     return best
 

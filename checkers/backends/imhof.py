@@ -8,18 +8,30 @@ from numba import carray
 
 from checkers.base import Checker, CheckerInfo
 from checkers.kernels.abi import kernel
-from checkers.kernels.gaussian import eigen
+from checkers.kernels.gaussian import conditioning, eigen
 from checkers.kernels.inversion import quadratic_form_cdf
 from checkers.kind import Kind
 
 
 @kernel
 def _kernel(m1, m2, s11, s12, s22, moments, order, options, out):  # type: ignore[no-untyped-def]
+    result = carray(out, 2)
     big, small, v1, v2 = eigen(s11, s12, s22)
-    variances = np.array([big, small])
-    offsets = np.array([v1 * m1 + v2 * m2, -v2 * m1 + v1 * m2])
+    along, across = v1 * m1 + v2 * m2, -v2 * m1 + v1 * m2
+    room = 1.0 - across * across
+    if small < 1e-28:  # a line or a point
+        result[0] = 0.0
+        if room < 0.0:
+            return 0.0
+        if big < 1e-28:
+            return 1.0 if along * along <= room else 0.0
+        if room == 0.0:
+            return 0.0
+        variances, offsets = np.array([big / room]), np.array([along / np.sqrt(room)])
+    else:
+        variances, offsets = np.array([big, small]), np.array([along, across])
     value, error = quadratic_form_cdf(variances, offsets)
-    carray(out, 2)[0] = error
+    result[0] = min(error + value * conditioning(m1, m2, s11, s12, s22, small, -np.log(max(value, 1e-308))), 1.0)
     return value
 
 

@@ -15,16 +15,16 @@ from checkers.validate import Array, InputError, as_option
 
 @kernel
 def _kernel(m1, m2, s11, s12, s22, moments, order, options, out):  # type: ignore[no-untyped-def]
-    form = np.empty(MAX_ORDER + 1)
+    form, noise = np.empty(MAX_ORDER + 1), np.zeros(MAX_ORDER + 1)
     degree = int(carray(options, 1)[0])
     if order == 0:
-        mean, sd = gaussian_form(m1, m2, s11, s12, s22, degree, form)
+        mean, sd = gaussian_form(m1, m2, s11, s12, s22, degree, form, noise)
     else:
-        mean, sd = general_form(m1, m2, carray(moments, (order + 1) ** 2), order, degree, form)
+        mean, sd = general_form(m1, m2, carray(moments, (order + 1) ** 2), order, degree, form, noise)
     if sd == 0.0:
         upper = lower = 1.0 if mean <= 0.0 else 0.0
     else:
-        upper, lower = sharp_tail(form, degree, -mean / sd)
+        upper, lower = sharp_tail(form, noise, degree, -mean / sd)
     carray(out, 2)[1] = lower
     return upper
 
@@ -75,15 +75,16 @@ class Sos(Checker):
         from checkers.sdp import indicator_bound  # noqa: PLC0415  clarabel is only needed here
 
         value = np.empty(len(m))
-        form = np.empty(MAX_ORDER + 1)
+        form, noise = np.empty(MAX_ORDER + 1), np.zeros(MAX_ORDER + 1)
         for i in range(len(m)):
             if order == 0:
-                mean, sd = gaussian_form(*m[i], *s[i], self.order, form)
+                mean, sd = gaussian_form(*m[i], *s[i], self.order, form, noise)
             else:
-                mean, sd = general_form(*m[i], moments[i], order, self.order, form)
+                mean, sd = general_form(*m[i], moments[i], order, self.order, form, noise)
             if sd == 0.0:
                 value[i] = 1.0 if mean <= 0.0 else 0.0
             else:
-                value[i] = indicator_bound(form[: self.order + 1], -mean / sd)
+                kept = self.order + 1
+                value[i] = indicator_bound(form[:kept], noise[:kept], -mean / sd)
         unknown = np.full(len(m), np.nan)
         return ArrayRisk(value, unknown, unknown)

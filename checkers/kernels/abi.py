@@ -31,8 +31,12 @@ SIGNATURE = types.float64(
 
 
 def kernel(function):
-    """Compile a backend's scalar function to the common signature; `.address` is what loops take."""
-    return nb.cfunc(SIGNATURE, cache=True)(function)
+    """Compile a backend's scalar function to the common signature; `.address` is what loops take.
+
+    Under numpy's error model a division by zero gives NaN, which callers refuse; an exception would be swallowed at the
+    C boundary and read as the value 0.
+    """
+    return nb.cfunc(SIGNATURE, cache=True, error_model="numpy")(function)
 
 
 @intrinsic

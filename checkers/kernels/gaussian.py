@@ -12,7 +12,7 @@ COARSE = np.array([16.0, 7.0, 3e-3])  # relative error below 1e-3: for searching
 _X6, _W6 = np.polynomial.legendre.leggauss(6)
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def eigen(s11, s12, s22):
     """Eigenvalues big ≥ small ≥ 0 and the unit vector (v1, v2) of the big one; robust for repeated ones."""
     half = 0.5 * (s11 - s22)
@@ -29,7 +29,7 @@ def eigen(s11, s12, s22):
     return big, min(small, big), v1 / norm, v2 / norm
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def nearest(x, y, vx, vy):
     """Most likely point of the unit disc's rim for a mean (x, y) outside, axes with variances vx, vy.
 
@@ -49,7 +49,21 @@ def nearest(x, y, vx, vy):
     return x / a, y / b, nu * nu * ((x / a) ** 2 * vx + (y / b) ** 2 * vy)
 
 
-@nb.njit(cache=True)
+@nb.njit(inline="always", error_model="numpy")
+def conditioning(m1, m2, s11, s12, s22, small, exponent):
+    """Relative change of P under rounding of the whitened mean and covariance; exponent is −log P or d²/2.
+
+    A mean shifted by ε(1 + |m|) shifts the distance d by as much over σ; entries of S off by ε shift the small
+    eigenvalue, which is a difference of products, by its cancellation, and the exponent d²/2 by that share.
+    """
+    d = math.sqrt(2.0 * max(exponent, 0.0)) + 1.0
+    shift = (1.0 + math.hypot(m1, m2)) / math.sqrt(small) if small > 0.0 else 0.0
+    determinant = s11 * s22 - s12 * s12
+    tilt = (s11 * s22 + s12 * s12) / determinant if determinant > 0.0 else 0.0
+    return 1e-12 + 1e-15 * d * shift + 4e-16 * d * d * (1.0 + tilt)
+
+
+@nb.njit(cache=True, error_model="numpy")
 def half_space(m1, m2, s11, s12, s22):
     """Φ(−d) ≥ P(|y| ≤ 1), d the Mahalanobis distance from m to the disc; 1 for a mean inside."""
     if m1 * m1 + m2 * m2 <= 1.0:
@@ -58,10 +72,12 @@ def half_space(m1, m2, s11, s12, s22):
     if big == 0.0:
         return 0.0
     _, _, d2 = nearest(-v2 * m1 + v1 * m2, v1 * m1 + v2 * m2, small, big)
-    return 0.5 * math.erfc(math.sqrt(0.5 * d2))
+    value = 0.5 * math.erfc(math.sqrt(0.5 * d2))
+    # outward by what rounding of the input can do
+    return min(value * (1.0 + 2.0 * conditioning(m1, m2, s11, s12, s22, small, 0.5 * d2)), 1.0)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def _interval(middle, half):
     """Φ(middle + half) − Φ(middle − half) for middle ≤ 0 ≤ half, keeping relative accuracy."""
     low, high = middle - half, middle + half
@@ -77,7 +93,7 @@ def _interval(middle, half):
     return total * half * 0.3989422804014327
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def _exponent(t, mx, my, sx, sy):
     """−log of the integrand at its leading order: quasi-convex in t."""
     a = (math.sin(t) - mx) / sx
@@ -85,7 +101,7 @@ def _exponent(t, mx, my, sx, sy):
     return 0.5 * (a * a + b * b)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def _edge(peak, limit, first, mx, my, sx, sy, level):
     """A t between `peak` and `limit` beyond which the integrand is negligible: within a factor 2 of the closest."""
     span = abs(limit - peak)
@@ -100,7 +116,7 @@ def _edge(peak, limit, first, mx, my, sx, sy, level):
     return peak + side * min(step, span)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def _integrand(t, mx, my, sx, sy):
     sin, cos = math.sin(t), math.cos(t)
     z = (sin - mx) / sx
@@ -110,7 +126,7 @@ def _integrand(t, mx, my, sx, sy):
     return density * _interval(-my / sy, cos / sy) * cos
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def disc(m1, m2, s11, s12, s22, precision):
     """(P(|y| ≤ 1), absolute error); precision is FULL or COARSE.
 
@@ -131,7 +147,7 @@ def disc(m1, m2, s11, s12, s22, precision):
         if sy < 1e-14:
             return (1.0 if my <= chord else 0.0), 0.0
         p = _interval(-my / sy, chord / sy)
-        return p, 1e-14 * p
+        return p, (1e-12 + 1e-15 * (1.0 + my) / sy) * p
     px, py, d2 = mx, my, 0.0
     if mx * mx + my * my > 1.0:
         px, py, d2 = nearest(mx, my, small, big)
@@ -160,13 +176,13 @@ def disc(m1, m2, s11, s12, s22, precision):
         if change < precision[2]:
             break
     value = min(total * math.pi / n * scale, 1.0)
-    rounding = 1e-12 + 4e-15 * d2
+    rounding = 1e-11 + conditioning(m1, m2, s11, s12, s22, small, 0.5 * d2)
     if change >= precision[2]:
         return value, value * max(change, rounding)
     return value, value * (change * change + rounding)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def _grid_sum(n, shift, low, high, mx, my, sx, sy):
     """Sum of the integrand at t = −π/2 + (k + shift) π/n inside the window."""
     h = math.pi / n

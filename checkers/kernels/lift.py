@@ -9,7 +9,7 @@ from checkers.kernels.abi import call_kernel
 from checkers.kernels.whiten import to_disc, to_ego, whiten_moments
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def mode_risk(address, options, pieces, x, y, cos, sin, mu, cov, moments, order, scratch, out):
     """Risk of one mode at one pose: the union bound over the pieces. out[0] its error, out[1] its lower bound.
 
@@ -32,7 +32,7 @@ def mode_risk(address, options, pieces, x, y, cos, sin, mu, cov, moments, order,
     return min(value, 1.0)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def batch_risk(address, options, pieces, poses, means, covariances, moments, order, value, error, lower):
     """Fill value, error, lower (B, T, K) for poses (B, T, 3) and modes (T, K, …)."""
     scratch, out = np.empty(max((order + 1) ** 2, 1)), np.empty(2)
@@ -58,7 +58,7 @@ def batch_risk(address, options, pieces, poses, means, covariances, moments, ord
                 error[b, t, k], lower[b, t, k] = out[0], out[1]
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def array_risk(address, options, m, s, moments, order, value, error, lower):
     """Fill value, error, lower (M,) for whitened modes m (M, 2), s (M, 3), moments (M, (order+1)²)."""
     out = np.empty(2)

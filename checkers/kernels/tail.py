@@ -8,11 +8,14 @@ import numpy as np
 from checkers.kernels.gaussian import eigen
 
 MAX_ORDER = 12
+_EPS = 2.220446049250313e-16
 
 
-@nb.njit(cache=True)
-def gaussian_form(m1, m2, s11, s12, s22, order, out):
+@nb.njit(cache=True, error_model="numpy")
+def gaussian_form(m1, m2, s11, s12, s22, order, out, noise):
     """Mean of g and, in `out`, its standardised central moments 0…order for y ~ N(m, S). Returns (mean, sd).
+
+    `noise` gets the absolute rounding error of each; noise[1] is that of the mean, in standard deviations.
 
     Cumulants κ_r = 2^(r−1) (r−1)! [tr S^r + r mᵀ S^(r−1) m] (Provost & Mathai 1992), then μ_n by the recursion
     μ_n = Σ C(n−1, k−1) κ_k μ_(n−k); everything in units of the standard deviation.
@@ -42,11 +45,14 @@ def gaussian_form(m1, m2, s11, s12, s22, order, out):
             total += choose * kappa[k] * out[n - k]
             choose *= (n - k) / k
         out[n] = total
+        noise[n] = 16.0 * n * _EPS * total  # no term is negative
+    noise[0] = 0.0
+    noise[1] = 16.0 * _EPS * (p + q + big + small + 1.0) / sd
     return mean, sd
 
 
-@nb.njit(cache=True)
-def general_form(m1, m2, moments, moments_order, order, out):
+@nb.njit(cache=True, error_model="numpy")
+def general_form(m1, m2, moments, moments_order, order, out, noise):
     """The same from central moments of y (row-major (n+1)², to order 2·`order`). Returns (mean, sd).
 
     g − E g = 2 mᵀη + |η|² − tr S is a polynomial in the centred η, so nothing is differenced at the size of |m|².
@@ -54,80 +60,146 @@ def general_form(m1, m2, moments, moments_order, order, out):
     n = moments_order + 1
     trace = moments[2 * n] + moments[2]
     mean = (m1 * m1 + m2 * m2 - 1.0) + trace
-    power = np.zeros((2 * order + 1, 2 * order + 1))
-    power[0, 0] = 1.0
-    raw = np.zeros(MAX_ORDER + 1)
+    power, size = np.zeros((2 * order + 1, 2 * order + 1)), np.zeros((2 * order + 1, 2 * order + 1))
+    power[0, 0] = size[0, 0] = 1.0
+    raw, rough = np.zeros(MAX_ORDER + 1), np.zeros(MAX_ORDER + 1)
     for k in range(1, order + 1):
-        for i in range(2 * k, -1, -1):  # multiply by the polynomial in place, highest degree first
-            for j in range(2 * k - i, -1, -1):
-                value = -trace * power[i, j]
-                if i > 0:
-                    value += 2.0 * m1 * power[i - 1, j]
-                if i > 1:
-                    value += power[i - 2, j]
-                if j > 0:
-                    value += 2.0 * m2 * power[i, j - 1]
-                if j > 1:
-                    value += power[i, j - 2]
-                power[i, j] = value
-        total = 0.0
+        _times_form(power, k, -trace, 2.0 * m1, 2.0 * m2)
+        _times_form(size, k, trace, 2.0 * abs(m1), 2.0 * abs(m2))
+        total, most = 0.0, 0.0
         for i in range(2 * k + 1):
             for j in range(2 * k + 1 - i):
                 total += power[i, j] * moments[i * n + j]
-        raw[k] = total
-    sd = math.sqrt(max(raw[2], 0.0)) if order >= 2 else 0.0
+                most += size[i, j] * abs(moments[i * n + j])
+        raw[k], rough[k] = total, 4.0 * (k + 2) * _EPS * most
+    # an even moment is at least its noise: what cancelled away may still be there
+    sd = math.sqrt(max(raw[2], 0.0) + rough[2]) if order >= 2 else 0.0
     out[0] = 1.0
+    noise[0] = 0.0
     if order >= 1:
         out[1] = 0.0
+        noise[1] = 8.0 * _EPS * (m1 * m1 + m2 * m2 + 1.0 + trace) / sd if sd > 0.0 else 0.0
     if sd > 0.0:
         scale = sd
         for k in range(2, order + 1):
             scale *= sd
-            out[k] = raw[k] / scale
+            out[k], noise[k] = raw[k] / scale, rough[k] / scale
     return mean, sd
 
 
-@nb.njit(cache=True)
-def sharp_tail(moments, order, x0):
+@nb.njit(cache=True, error_model="numpy")
+def _times_form(power, k, constant, linear_1, linear_2):
+    """Multiply a polynomial of degree 2(k−1) by constant + linear + |η|², in place, highest degree first."""
+    for i in range(2 * k, -1, -1):
+        for j in range(2 * k - i, -1, -1):
+            value = constant * power[i, j]
+            if i > 0:
+                value += linear_1 * power[i - 1, j]
+            if i > 1:
+                value += power[i - 2, j]
+            if j > 0:
+                value += linear_2 * power[i, j - 1]
+            if j > 1:
+                value += power[i, j - 2]
+            power[i, j] = value
+
+
+@nb.njit(cache=True, error_model="numpy")
+def sharp_tail(moments, noise, order, x0):
     """(upper, lower) on P(X ≤ x₀) over all distributions with the standardised moments 0…order, order even.
 
     Chebyshev–Markov–Stieltjes (Akhiezer 1965, ch. 2; Krein & Nudelman 1977): the extreme is the mass on (−∞, x₀] of
     the canonical quadrature with a node at x₀. Hankel → Cholesky → Jacobi matrix (Golub & Welsch 1969), last
-    diagonal entry moved so that x₀ is an eigenvalue (Gauss–Radau; Golub 1973). Where Cholesky fails, the moments
-    below it still give a valid bound.
+    diagonal entry moved so that x₀ is an eigenvalue (Gauss–Radau; Golub 1973). The nodes serve only to make the
+    polynomial that touches the indicator there; it dominates the indicator wherever the nodes are (Rolle), so its
+    mean, with the moments' noise added, is a bound whatever rounding did to the nodes. The best over all even orders
+    up to the one asked for is returned.
+
+    Args:
+        moments: of X, mean 0.
+        noise: absolute error of each moment; noise[1] is that of the mean.
+        order: highest moment used.
+        x0: threshold.
     """
-    n = order // 2
-    alpha, beta = np.zeros(n + 1), np.zeros(n + 1)
-    n = _jacobi(moments, n, alpha, beta)
-    if n == 0:
-        return 1.0, 0.0
-    # orthonormal polynomials at x₀: p_(k+1) = ((x₀ − α_k) p_k − β_(k−1) p_(k−1)) / β_k
-    before, here, christoffel = 0.0, 1.0, 0.0
+    upper, lower = 1.0, 0.0
+    x0 += noise[1]
+    alpha, beta = np.zeros(order // 2 + 1), np.zeros(order // 2 + 1)
+    rows = _jacobi(moments, noise, order // 2, alpha, beta)
+    for n in range(rows, 0, -1):
+        size, nodes = _radau(alpha.copy(), beta, n, x0)
+        above, below = _touching_means(nodes, size, x0, moments, noise)
+        upper, lower = min(upper, above), max(lower, below)
+        if above < 1.0 and n == rows and noise[2 * n] <= 1e-10 * moments[2 * n]:
+            break  # the highest order is the sharpest, unless noise spoils it
+    return upper, min(max(lower, 0.0), upper)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _radau(alpha, beta, n, x0):
+    """(count, nodes) of the quadrature with n+1 nodes, one of them x₀ itself and put first."""
+    before, here = 0.0, 1.0
     for k in range(n):
-        christoffel += here * here
         link = beta[k - 1] * before if k > 0 else 0.0
         before, here = here, ((x0 - alpha[k]) * here - link) / beta[k]
-    christoffel += here * here
-    if here == 0.0:  # x₀ is a node of the n-point Gauss rule already
-        size = n
-    else:
+    size = n
+    if here != 0.0:
         alpha[n] = x0 - beta[n - 1] * before / here
         size = n + 1
-    nodes, weights = _golub_welsch(alpha, beta, size)
-    at = 1.0 / christoffel
+    nodes = _eigenvalues(alpha, beta, size)
     closest = 0
     for i in range(size):
         if abs(nodes[i] - x0) < abs(nodes[closest] - x0):
             closest = i
-    left = 0.0
-    for i in range(size):
-        if i != closest and nodes[i] < x0:
-            left += weights[i]
-    return min(left + at, 1.0), max(min(left, 1.0), 0.0)
+    nodes[closest] = nodes[0]
+    nodes[0] = x0
+    return size, nodes
 
 
-@nb.njit(cache=True)
-def _jacobi(moments, n, alpha, beta):
+@nb.njit(cache=True, error_model="numpy")
+def _touching_means(nodes, size, x0, moments, noise):
+    """Means of the polynomials that touch the indicator of (−∞, x₀] at the nodes, from above and from below.
+
+    Hermite interpolation with value and slope at every node but x₀ (nodes[0]), where the value alone is set: 1 above,
+    0 below. Rounded outward: every coefficient's error is bounded by the same recursion on absolute values.
+    """
+    count = 2 * size - 1
+    t = np.empty(count)
+    t[0] = x0
+    for i in range(1, size):
+        t[2 * i - 1] = t[2 * i] = nodes[i]
+    result = np.empty(2)
+    for side in range(2):
+        f, g = np.empty(count), np.empty(count)  # divided differences, and bounds on their rounding in units of ε
+        for i in range(count):
+            f[i] = 1.0 if t[i] < x0 or (i == 0 and side == 0) else 0.0
+            g[i] = 0.0
+        for level in range(1, count):
+            for i in range(count - 1, level - 1, -1):
+                gap = t[i] - t[i - level]
+                if gap == 0.0:
+                    f[i], g[i] = 0.0, 0.0  # a double node: slope 0
+                else:
+                    f[i] = (f[i] - f[i - 1]) / gap
+                    g[i] = (g[i] + g[i - 1]) / abs(gap) + 4.0 * abs(f[i])
+        c, e, size_c = np.zeros(count), np.zeros(count), np.zeros(count)
+        for i in range(count - 1, -1, -1):  # Newton form to monomials, Horner's way
+            for k in range(count - 1, 0, -1):
+                c[k] = c[k - 1] - t[i] * c[k]
+                size_c[k] = size_c[k - 1] + abs(t[i]) * size_c[k]
+                e[k] = e[k - 1] + abs(t[i]) * e[k]
+            c[0], size_c[0], e[0] = -t[i] * c[0] + f[i], abs(t[i]) * size_c[0] + abs(f[i]), abs(t[i]) * e[0] + g[i]
+        mean, slack = 0.0, 0.0
+        for k in range(count):
+            mean += c[k] * moments[k]
+            slack += (e[k] + 4.0 * count * size_c[k]) * _EPS * abs(moments[k]) + abs(c[k]) * noise[k]
+        result[side] = mean + slack if side == 0 else mean - slack
+    if not (math.isfinite(result[0]) and math.isfinite(result[1])):
+        return 1.0, 0.0
+    return min(max(result[0], 0.0) + 1e-14, 1.0), result[1]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _jacobi(moments, noise, n, alpha, beta):
     """Fill the Jacobi matrix from the moments; return how many rows exist."""
     size = n + 1
     r = np.zeros((size, size))
@@ -137,7 +209,7 @@ def _jacobi(moments, n, alpha, beta):
         for k in range(i):
             pivot -= r[k, i] * r[k, i]
         # a pivot lost to rounding ends the usable moments
-        if not pivot > 1e-13 * moments[2 * i]:
+        if not pivot > 1e-13 * moments[2 * i] + 10.0 * noise[2 * i]:
             rank = i
             break
         r[i, i] = math.sqrt(pivot)
@@ -153,14 +225,13 @@ def _jacobi(moments, n, alpha, beta):
     return max(n, 0)
 
 
-@nb.njit(cache=True)
-def _golub_welsch(alpha, beta, size):
-    """Nodes and weights of the Jacobi matrix: eigenvalues, squared first components of the eigenvectors."""
-    d, e, z = alpha[:size].copy(), np.zeros(size), np.zeros(size)
+@nb.njit(cache=True, error_model="numpy")
+def _eigenvalues(alpha, beta, size):
+    """Eigenvalues of a symmetric tridiagonal matrix by implicit QL."""
+    d, e = alpha[:size].copy(), np.zeros(size)
     for i in range(size - 1):
         e[i] = beta[i]
-    z[0] = 1.0
-    for low in range(size):  # implicit QL, one eigenvalue at a time
+    for low in range(size):
         for _ in range(60):
             m = low
             while m < size - 1 and abs(e[m]) > 1e-16 * (abs(d[m]) + abs(d[m + 1])):
@@ -185,11 +256,8 @@ def _golub_welsch(alpha, beta, size):
                 p = s * r
                 d[i + 1] = g + p
                 g = c * r - b
-                f = z[i + 1]
-                z[i + 1] = s * z[i] + c * f
-                z[i] = c * z[i] - s * f
             else:
                 d[low] -= p
                 e[low] = g
                 e[m] = 0.0
-    return d, z * z
+    return d

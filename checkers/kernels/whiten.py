@@ -14,7 +14,7 @@ def pack_pieces(offsets, forms):
     )
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def to_ego(x, y, cos, sin, mu1, mu2, c11, c12, c22):
     """Mean and covariance of the agent in the ego frame at (x, y, heading)."""
     dx, dy = mu1 - x, mu2 - y
@@ -26,7 +26,7 @@ def to_ego(x, y, cos, sin, mu1, mu2, c11, c12, c22):
     return d1, d2, e11, e12, e22
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def to_disc(piece, d1, d2, e11, e12, e22):
     """y = Lᵀ(d − o) with Q = L Lᵀ: the piece becomes the unit disc."""
     a, b, c = piece[2], piece[3], piece[4]
@@ -39,7 +39,7 @@ def to_disc(piece, d1, d2, e11, e12, e22):
     return m1, m2, s11, s12, s22
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def map_moments(moments, order, t11, t12, t21, t22, out):
     """Central moments of T η from those of η, both (order+1)² row-major; entries beyond the order are unset."""
     n = order + 1
@@ -55,7 +55,7 @@ def map_moments(moments, order, t11, t12, t21, t22, out):
             out[i * n + j] = total
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def _binomial(n, k):
     value = 1.0
     for i in range(k):
@@ -63,14 +63,14 @@ def _binomial(n, k):
     return value
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def whiten_moments(piece, cos, sin, moments, order, out):
     """Central moments of y for one piece; the map is Lᵀ R(−ψ)."""
     a, b, c = piece[2], piece[3], piece[4]
     map_moments(moments, order, a * cos - b * sin, a * sin + b * cos, -c * sin, c * cos, out)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def whiten_all(poses, means, covariances, moments, order, pieces):
     """Whitened modes for backends that work on arrays.
 

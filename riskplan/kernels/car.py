@@ -22,13 +22,13 @@ def pack_limits(vehicle):
     )
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def wrap(angle):
     """The same angle in [−π, π)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def drive(x, y, heading, speed, acceleration, curvature_1, curvature_2, steps, dt, top_speed, out):
     """Fill out (steps, 4) with x, y, heading, speed at the end of every step.
 
@@ -57,7 +57,7 @@ def drive(x, y, heading, speed, acceleration, curvature_1, curvature_2, steps, d
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = x, y, heading, speed
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def lane_frame(x, y, heading, lanes):
     """(direction, offset) of the closest lane piece that does not run against `heading`; offset is NaN without one.
 
@@ -75,7 +75,7 @@ def lane_frame(x, y, heading, lanes):
     return direction, offset
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def controls(u1, u2, u3, x, y, heading, speed, steps, dt, limits, lanes):
     """(acceleration, curvature 1, curvature 2) for u in [−1, 1]³, chosen so that plain motions are likely.
 

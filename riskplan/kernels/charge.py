@@ -16,7 +16,7 @@ MEAN_X, MEAN_Y, C11, C12, C22, WEIGHT, CULL, MOMENTS = range(8)
 _MINOR = 3e-3
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def row_risk(address, options, order, row, pieces, first, last, x, y, cos, sin, negligible, scratch, out):
     """Risk of one agent mode at one pose: the union bound over its pieces.
 
@@ -55,7 +55,7 @@ def row_risk(address, options, order, row, pieces, first, last, x, y, cos, sin, 
     return min(value, 1.0)
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def _direction_bound(m1, m2, s11, s12, s22):
     r2 = m1 * m1 + m2 * m2
     if r2 <= 1.0:
@@ -64,7 +64,7 @@ def _direction_bound(m1, m2, s11, s12, s22):
     return 0.5 * math.erfc((math.sqrt(r2) - 1.0) / spread) if spread > 0.0 else 0.0
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def marginals(address, options, order, rows, index, pieces, poses, first_step, out):
     """Fill out (S, M) with the risk of every agent mode at poses (S, 3), nothing culled or bounded."""
     scratch, extra = np.empty(max((order + 1) ** 2, 1)), np.empty(2)
@@ -93,7 +93,7 @@ def marginals(address, options, order, rows, index, pieces, poses, first_step, o
                 )
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def charge(
     address,
     options,
@@ -184,7 +184,7 @@ def charge(
     return total
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def total_of(groups, accumulated, additive):
     """Total risk of the accumulators: the sum over agents."""
     total = 0.0

@@ -11,14 +11,14 @@ from riskplan.kernels.car import wrap
 _WORDS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def _mod(angle):
     value = angle % (2.0 * math.pi)
     # a full turn that is rounding of none
     return 0.0 if value > 2.0 * math.pi - 1e-9 else value
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def shortest(x0, y0, h0, x1, y1, h1, radius, out):
     """Length of the shortest curve; out[0:3] segment lengths [m], out[3:6] their curvatures [1/m]."""
     dx, dy = x1 - x0, y1 - y0
@@ -72,7 +72,7 @@ def shortest(x0, y0, h0, x1, y1, h1, radius, out):
     return best * radius
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def along(x, y, heading, curve, s):
     """Pose at arclength s of the curve (6,) from `shortest` that starts at (x, y, heading)."""
     for i in range(3):

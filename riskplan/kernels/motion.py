@@ -6,7 +6,7 @@ from riskplan.kernels.car import LATERAL, SPEED, controls, drive
 from riskplan.kernels.world import body_free, goal_region
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def extend(node, u1, u2, u3, steps, dt, limits, lanes, world, goal, earliest, latest, out):
     """Drive from node (x, y, heading, speed, step) for at most `steps` steps.
 

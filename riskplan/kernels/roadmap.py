@@ -13,7 +13,7 @@ from riskplan.kernels.world import body_free, goal_region
 _PACES = np.array([0.0, 0.3, -0.2, 0.8, -0.6])
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def connect(sources, targets, radius, shortest_edge, longest_edge, most):
     """Edges from every source pose to at most `most` target poses ahead of it.
 
@@ -60,7 +60,7 @@ def connect(sources, targets, radius, shortest_edge, longest_edge, most):
     return ends[:count], curves[:count], lengths[:count]
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def paces(length, speed, curved, radius, dt, longest, limits, out):
     """Fill out (P, 2) with (steps, acceleration) that drive `length` in whole steps from `speed`; return how many.
 
@@ -98,7 +98,7 @@ def paces(length, speed, curved, radius, dt, longest, limits, out):
     return count
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def traverse(x, y, heading, speed, step, curve, steps, acceleration, dt, latest, earliest, world, goal, out):
     """Drive an edge. Returns (steps driven, arrived): 0 if the world is in the way; ends early in the goal.
 
@@ -117,7 +117,7 @@ def traverse(x, y, heading, speed, step, curve, steps, acceleration, dt, latest,
     return min(steps, latest - step), False
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def expand(vertex, speed, step, latest, start, lengths, curves, radius, dt, limits, ends, distance, out):
     """Children (edge, steps, acceleration, key) of a label: all edges at all paces that can still reach the goal.
 
@@ -141,7 +141,7 @@ def expand(vertex, speed, step, latest, start, lengths, curves, radius, dt, limi
     return count
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def _least_time(distance, speed, acceleration, top):
     """Time to cover a straight distance at full acceleration up to the top speed."""
     if distance <= 0.0:

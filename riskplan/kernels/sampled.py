@@ -5,7 +5,7 @@ import math
 import numba as nb
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def hits_any(paths, poses, pieces, hit):
     """Set hit[i] where path i (n, S, 2) is inside some packed piece at some of the poses (S, 3)."""
     for s in range(poses.shape[0]):

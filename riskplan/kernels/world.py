@@ -6,7 +6,7 @@ import numba as nb
 import numpy as np
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def body_free(
     x,
     y,
@@ -50,7 +50,7 @@ def body_free(
     return inside[index] != odd
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def _clips(s, x, y, cos, sin, half_length, half_width):
     """Liang & Barsky (1984): does the segment meet the rectangle?"""
     ax, ay = s[0] - x, s[1] - y
@@ -72,7 +72,7 @@ def _clips(s, x, y, cos, sin, half_length, half_width):
     return True
 
 
-@nb.njit(inline="always")
+@nb.njit(inline="always", error_model="numpy")
 def _crosses(ax, ay, bx, by, s):
     """Proper crossing of a–b with the segment; half-open at its ends so that a shared vertex counts once."""
     c = (bx - ax) * (s[1] - ay) - (by - ay) * (s[0] - ax)
@@ -84,7 +84,7 @@ def _crosses(ax, ay, bx, by, s):
     return (e > 0.0) != (f > 0.0)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def in_polygon(x, y, polygon):
     """Even–odd rule for a polygon (N, 2)."""
     inside = False
@@ -97,7 +97,7 @@ def in_polygon(x, y, polygon):
     return inside
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def goal_region(x, y, heading, speed, start, vertices, boxes, terms):
     """Index of a goal region that holds the state, or −1.
 
@@ -116,7 +116,7 @@ def goal_region(x, y, heading, speed, start, vertices, boxes, terms):
     return -1
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def bucket_segments(segments, origin, cell, cells_x, cells_y, reach):
     """(start, items): per cell the segments whose bounding box, widened by `reach`, touches it."""
     count = np.zeros(cells_x * cells_y + 1, np.int64)
