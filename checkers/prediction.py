@@ -229,7 +229,8 @@ def load_prediction(path: str | Path) -> Prediction:
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except (ValueError, OSError, EOFError, BadZipFile, AttributeError, TypeError) as error:
-        raise InputError(f"{path}: not a prediction file: {error}") from None
+        reason = "it holds pickled objects or none" if "pickle" in str(error) else error
+        raise InputError(f"{path}: not a prediction file: {reason}") from None
     kind = str(values.pop("type", ""))
     as_option(f"{path}: type", kind, tuple(_CLASSES))
     plain = {key: value.item() if value.ndim == 0 else value for key, value in values.items()}

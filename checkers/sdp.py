@@ -15,16 +15,17 @@ def indicator_bound(moments: Array, noise: Array, x0: float) -> float:
     size of the top moment for the solver; the value returned is E[p] for the returned p, lifted by the deficits of
     p ≥ 0 on ℝ and p ≥ 1 on x ≤ x₀, found at their critical points.
     """
-    degree = _usable(moments, noise)
+    degree: int = _usable(moments, noise)
     if degree == 0 or not np.isfinite(x0):
         return 1.0
     moments, noise, x0 = moments[: degree + 1], noise[: degree + 1], x0 + float(noise[1])
-    scale = float(max(moments[degree], 1.0) ** (1.0 / degree))
+    scale = max(float(moments[degree]), 1.0) ** (1.0 / degree)
     scaled = moments / scale ** np.arange(degree + 1)
     coefficients = _solve(scaled, x0 / scale)
     if coefficients is None:
         return 1.0
-    uncertain = float(np.abs(coefficients) @ (noise / scale ** np.arange(degree + 1)))
+    powers: Array = scale ** np.arange(degree + 1, dtype=float)
+    uncertain = float(np.abs(coefficients) @ (noise / powers))
     return min(1.0, certified_value(coefficients, scaled, x0 / scale) + uncertain)
 
 
@@ -43,7 +44,7 @@ def certified_value(coefficients: Array, moments: Array, x0: float) -> float:
 
 
 def _usable(moments: Array, noise: Array) -> int:
-    """The highest even order whose Hankel matrix is positive definite beyond noise; a solver makes nonsense of others."""
+    """The highest even order whose Hankel matrix is positive definite beyond noise: of others solvers make nonsense."""
     for degree in range(len(moments) - 1, 0, -2):
         hankel = np.array([[moments[i + j] for j in range(degree // 2 + 1)] for i in range(degree // 2 + 1)])
         if not np.isfinite(hankel).all():

@@ -123,8 +123,8 @@ class EgoCover:
 def smallest_ellipse(points: Array) -> Array:
     """Q of the smallest-area origin-centred ellipse that contains `points` (N, 2) and their mirror images.
 
-    Khachiyan's (1996) coordinate ascent with away steps (Todd & Yıldırım 2007); the result is scaled until the farthest point lies on the boundary, so
-    containment holds exactly however early the ascent stops.
+    Khachiyan's (1996) coordinate ascent with away steps (Todd & Yıldırım 2007); the result is scaled until the farthest
+    point lies on the boundary, so containment holds exactly however early the ascent stops.
     """
     scale = np.abs(points).max(axis=0)  # to a box of about unit size: conditioning is then the shape's own
     unit = points / scale

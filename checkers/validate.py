@@ -57,7 +57,12 @@ def as_scalar(name: str, value: Any, *, low: float = -np.inf, high: float = np.i
     """A finite float in [low, high], or in (low, high] when `strict`."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
         raise InputError(f"{name}: expected a number, got {value!r}")
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        raise InputError(
+            f"{name}: expected a number that fits a double, got an integer of {len(str(value))} digits"
+        ) from None
     below = number <= low if strict else number < low
     if not np.isfinite(number) or below or number > high:
         bracket = "(" if strict else "["
@@ -97,7 +102,9 @@ def as_weights(name: str, value: Any, steps: int, modes: int) -> Array:
         raise InputError(
             f"{name}{where}: expected weights that sum to 1, got a sum of {np.atleast_1d(sums)[off[0]]:.9g}"
         )
-    normalised: Array = weights / sums[..., None]
+    # a sum that is 1 up to rounding is left alone: normalising twice must change nothing
+    exact = np.abs(sums - 1.0) <= 8 * np.finfo(float).eps
+    normalised: Array = np.where(exact[..., None], weights, weights / np.where(sums > 0, sums, 1.0)[..., None])
     normalised.flags.writeable = False
     return normalised
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from importlib import import_module
 from time import perf_counter
@@ -15,6 +16,7 @@ from riskplan.evaluator import RiskEvaluator
 from riskplan.result import Plan
 from riskplan.scene import Scenario
 from riskplan.search import Budget, Planner, Problem, SearchResult
+from riskplan.warm_up import warm_up
 from riskplan.world import goal_too_far, reachable_regions, start_is_free
 
 
@@ -82,6 +84,7 @@ def plan(
     dependence: str = "independent",
     time_limit: float = 1.0,
     seed: int = 0,
+    stop: Callable[[], bool] | None = None,
     **options: Any,
 ) -> Plan:
     """A trajectory from start to goal whose total collision risk is within `bound`; or the reason why there is none.
@@ -92,8 +95,9 @@ def plan(
         checker: name of a backend (see `checkers`) or a `Checker` with its options.
         bound: on the total risk of the trajectory, start included; None: as low as the time limit allows.
         dependence: how steps combine, "independent" (given a persistent mode) or "boole" (any dependence).
-        time_limit: of the search [s]; judging comes on top.
+        time_limit: of the search [s]; judging, and compilation at the first use ever, come on top.
         seed: of all randomness; the same seed and enough time give the same plan.
+        stop: asked all through the search; True ends it as if its time were up.
         **options: of the planner.
 
     Returns:
@@ -102,9 +106,10 @@ def plan(
     Raises:
         InputError: on unknown names or bad values.
     """
-    began = perf_counter()
     chosen = _checker(checker)
     method = make_planner(planner, **options) if isinstance(planner, str) else planner
+    warm_up(type(method))
+    began = perf_counter()
     if bound is not None:
         bound = as_scalar("bound", bound, low=0.0, high=1.0)
     as_option("dependence", dependence, DEPENDENCE)
@@ -129,7 +134,7 @@ def plan(
     refusal = _refusal(problem, bound)
     if refusal:
         return _no_plan(*refusal, bound, settings, {"preparation": perf_counter() - began})
-    budget = Budget(bound, time_limit)
+    budget = Budget(bound, time_limit, stop)
     prepared = perf_counter()
     found = method.search(problem, budget, seed)
     searched = perf_counter()

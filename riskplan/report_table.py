@@ -86,7 +86,7 @@ def risk_table(report: Report, verdicts: Sequence[CheckerVerdict], sampled: Samp
     if sampled is not None:
         table.add_column(f"Monte Carlo, {sampled.samples}\n{sampled.confidence:.0%} interval", justify="right")
     for i, name in enumerate(report.agents):
-        cells = [_cell(v, lambda r, i=i: r.per_agent[i]) for v in verdicts]  # type: ignore[misc]
+        cells = [_cell(v, lambda r, i=i: r.per_agent[i]) for v in verdicts]
         table.add_row(Text(name), *cells, *_sampled(sampled, i), end_section=i == len(report.agents) - 1)
     for label, ends, pick in _TOTALS:
         cells = [_cell(v, pick, ends) for v in verdicts]

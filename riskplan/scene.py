@@ -246,6 +246,6 @@ def _interval(name: str, value: Any) -> tuple[float, float]:
     if np.shape(value) != (2,):
         raise InputError(f"{name}: expected (lowest, highest), got {value!r}")
     low, high = float(value[0]), float(value[1])
-    if not low <= high:
+    if not low <= high or not np.isfinite(low):
         raise InputError(f"{name}: expected lowest <= highest, got {value!r}")
     return low, high

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from time import perf_counter
@@ -86,14 +87,15 @@ class Budget:
     search goes on until the time is up.
     """
 
-    def __init__(self, bound: float | None, time_limit: float) -> None:
+    def __init__(self, bound: float | None, time_limit: float, stop: Callable[[], bool] | None = None) -> None:
         self.bound = bound
         self.limit = np.inf if bound is None else bound  # agents are summed: without a bound totals above 1 count too
         self._end = perf_counter() + time_limit
+        self._stop = stop
 
     def expired(self) -> bool:
-        """Whether the time is up."""
-        return perf_counter() > self._end
+        """Whether the time is up, or someone asked to stop."""
+        return perf_counter() > self._end or (self._stop is not None and self._stop())
 
     def found(self, total: float) -> bool:
         """Report an arrival at this total risk; returns whether the search is over."""

@@ -101,16 +101,12 @@ def test_braking_widens_and_direction_does_not_matter():
     braking = model.predict(track(speed=16.0, acceleration=-2.0).until(3.0), GRID)
     assert frame_variances(braking, 0.3)[-1, 0, 0] > 1.2 * frame_variances(steady, 0.3)[-1, 0, 0]
     turned = model.predict(track(heading=-2.5).until(3.0), GRID)
-    np.testing.assert_allclose(
-        frame_variances(turned, -2.5), frame_variances(steady, 0.3), rtol=1e-6, atol=1e-9
-    )
+    np.testing.assert_allclose(frame_variances(turned, -2.5), frame_variances(steady, 0.3), rtol=1e-6, atol=1e-9)
 
 
 def test_translation_changes_nothing():
     model = ConstantVelocity.fitted()
-    near, far = (
-        model.predict(track(start=s, acceleration=0.7).until(3.0), GRID) for s in ((0, 0), (1e5, -1e5))
-    )
+    near, far = (model.predict(track(start=s, acceleration=0.7).until(3.0), GRID) for s in ((0, 0), (1e5, -1e5)))
     np.testing.assert_allclose(far.means - [1e5, -1e5], near.means, atol=1e-8)
     np.testing.assert_allclose(far.covariances, near.covariances, rtol=1e-6)
 

@@ -100,9 +100,7 @@ def document(version, *, obstacles=None, problems=None):
             dynamic(51, 0.0, 8.0, version, x=40.0),
             dynamic(52, 3.5, 10.0, version),
         ]
-    body = (
-        extra + right + left + "".join(obstacles) + (problem([RECTANGLE]) if problems is None else problems)
-    )
+    body = extra + right + left + "".join(obstacles) + (problem([RECTANGLE]) if problems is None else problems)
     return f'<?xml version="1.0" encoding="utf-8"?><commonRoad {head}>{body}</commonRoad>'
 
 
@@ -254,27 +252,16 @@ def test_horizon_task_predicts_from_the_past_only(write):
     (driver,) = (t for t in scene.tracks if t.name == task.driver.name)
     again = dataclasses.replace(scene, tracks=mixed)._task(driver, task.t0, 30)
     assert_same(task.scenario, again.scenario)
-    assert any(
-        np.abs(o.positions - p.positions).max() > 10 for o, p in zip(task.others, again.others, strict=True)
-    )
+    assert any(np.abs(o.positions - p.positions).max() > 10 for o, p in zip(task.others, again.others, strict=True))
 
 
 def test_no_eligible_vehicle(write):
     slow = [dynamic(51, 0.0, 1.0, "2018b")]
-    assert (
-        load_commonroad(write(document("2018b", obstacles=slow))).horizon_task(np.random.default_rng(0))
-        is None
-    )
+    assert load_commonroad(write(document("2018b", obstacles=slow))).horizon_task(np.random.default_rng(0)) is None
     short = [dynamic(51, 0.0, 8.0, "2018b", steps=40)]
-    assert (
-        load_commonroad(write(document("2018b", obstacles=short))).horizon_task(np.random.default_rng(0))
-        is None
-    )
+    assert load_commonroad(write(document("2018b", obstacles=short))).horizon_task(np.random.default_rng(0)) is None
     off = [dynamic(51, 9.0, 8.0, "2018b")]
-    assert (
-        load_commonroad(write(document("2018b", obstacles=off))).horizon_task(np.random.default_rng(0))
-        is None
-    )
+    assert load_commonroad(write(document("2018b", obstacles=off))).horizon_task(np.random.default_rng(0)) is None
 
 
 BAD = {
@@ -363,9 +350,7 @@ def test_recorded_scenarios_never_see_the_future(name):
     assert_same(scene.scenario(), scrambled(scene, scene.problems[0].time).scenario())
 
 
-@pytest.mark.parametrize(
-    "name", ["C-DEU_B471-1_3_T-1", "DEU_IV21-1_3_T-1", "DEU_Moelln-7_1_T-1", "BEL_Putte-10_2_T-1"]
-)
+@pytest.mark.parametrize("name", ["C-DEU_B471-1_3_T-1", "DEU_IV21-1_3_T-1", "DEU_Moelln-7_1_T-1", "BEL_Putte-10_2_T-1"])
 def test_towns_load(name):
     scene = load_commonroad(data("commonroad-planning") / f"{name}.xml")
     scenario = scene.scenario()

@@ -260,9 +260,7 @@ def _problem(problem: Any, dt: float) -> Problem:
     return Problem(start, begin * dt, tuple(regions), (earliest * dt, latest * dt))
 
 
-def _regions(
-    place: Any, heading: float | None, tolerance: float, speed: tuple[float, float]
-) -> list[GoalRegion]:
+def _regions(place: Any, heading: float | None, tolerance: float, speed: tuple[float, float]) -> list[GoalRegion]:
     """An occupancy, of one shape or several, as regions."""
     if hasattr(place, "shape"):
         place = place.shape

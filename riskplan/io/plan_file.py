@@ -7,7 +7,7 @@ import platform
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from riskplan.result import STATUSES, Plan, Report
 FORMAT, VERSION = "riskplan-plan", 1
 _PACKAGES = ("riskplan", "numpy", "scipy", "numba", "ompl")
 _RISK_FIELDS = ("total", "per_agent", "per_step", "boole", "max_step")
-_T = TypeVar("_T")
 
 
 def plan_to_dict(plan: Plan) -> dict[str, Any]:
@@ -106,7 +105,7 @@ def read_plan(path: str | Path) -> Plan:
         InputError: one line: the file, the field, what was expected and what came.
     """
     try:
-        return plan_of(_parse(read_bytes(path)))
+        return plan_of(parse_json(read_bytes(path)))
     except InputError as error:
         text = str(error)
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from None
@@ -116,15 +115,15 @@ def plan_of(values: Any) -> Plan:
     """The plan that `plan_to_dict` described; every field is checked."""
     root = _Fields("", values)
     if root.get("format", str) != FORMAT or root.get("version", int) != VERSION:
-        raise InputError(
-            f"format: expected {FORMAT} version {VERSION}, got {short(root.values.get('format'))}"
-        )
+        raise InputError(f"format: expected {FORMAT} version {VERSION}, got {short(root.values.get('format'))}")
     steps, poses, speeds = _trajectory(root.within("trajectory"))
+    status = as_option("status", root.get("status", str), STATUSES)
+    if status == "solved" and not len(steps):
+        raise InputError("trajectory.times: expected at least one time in a solved plan")
     bound = root.get("bound", float, type(None))
-    settings, stats = root.get("settings", dict), root.get("stats", dict)
-    as_option("settings.dependence", settings.get("dependence", "independent"), DEPENDENCE)
+    stats = root.get("stats", dict)
     plan = Plan(
-        status=as_option("status", root.get("status", str), STATUSES),
+        status=status,
         times=steps,
         poses=poses,
         speeds=speeds,
@@ -132,14 +131,21 @@ def plan_of(values: Any) -> Plan:
         marginals=_marginals(root.get("marginals", list), len(steps)),
         bound=None if bound is None else as_scalar("bound", bound, low=0.0, high=1.0),
         message=root.get("message", str),
-        settings=settings,
+        settings=_settings(root.within("settings")),
         stats=stats,
     )
-    if plan.solved and not len(steps):
-        raise InputError("trajectory.times: expected at least one time in a solved plan")
     if plan.risk is not None and len(plan.risk.per_agent) != len(plan.marginals):
         raise InputError(f"marginals: expected {len(plan.risk.per_agent)} agents, got {len(plan.marginals)}")
     return plan
+
+
+def _settings(d: _Fields) -> dict[str, Any]:
+    """What judging again reads is checked; the rest is carried."""
+    as_option(d.name("dependence"), d.values.get("dependence", "independent"), DEPENDENCE)
+    for key, kind in (("checker", str), ("checker_options", dict)):
+        if key in d.values:
+            d.get(key, kind)
+    return dict(d.values)
 
 
 class _Fields:
@@ -153,7 +159,7 @@ class _Fields:
     def name(self, key: str) -> str:
         return f"{self.where}.{key}" if self.where else key
 
-    def get(self, key: str, *types: type[_T]) -> _T:
+    def get(self, key: str, *types: type[Any]) -> Any:
         if key not in self.values:
             raise InputError(f"{self.name(key)}: missing")
         value = self.values[key]
@@ -210,20 +216,21 @@ def _risk(root: _Fields, steps: int) -> TrajectoryRisk | None:
 def _marginals(rows: list[Any], steps: int) -> tuple[Array, ...]:
     names = [f"marginals[{i}]" for i in range(len(rows))]
     return tuple(
-        as_array(name, numbers(name, row), (steps, "K"), finite=False)
-        for name, row in zip(names, rows, strict=True)
+        as_array(name, numbers(name, row), (steps, "K"), finite=False) for name, row in zip(names, rows, strict=True)
     )
 
 
-def _parse(content: bytes) -> Any:
+def _integer(text: str) -> int | float:
+    return int(text) if len(text) <= 18 else float(text)
+
+
+def parse_json(content: bytes) -> Any:
+    """Strict JSON as Python values; NaN and infinity are refused."""
+
     def refuse(token: str) -> Any:
         raise InputError(f"not valid JSON: {token} is no number")
 
     try:
-        return json.loads(content.decode(), parse_constant=refuse)
+        return json.loads(content.decode(), parse_constant=refuse, parse_int=_integer)
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"not valid JSON: {' '.join(str(error).split())}") from None
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"not valid JSON: {error}") from None  # an integer of thousands of digits

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -43,16 +42,14 @@ def read_scenario(path: str | Path) -> Scenario:
 def scenario_of(document: dict[str, Any], folder: Path) -> Scenario:
     """The scenario of a document that fits the schema; agents' files are looked up in `folder`."""
     d = document
-    given = {
-        key: d[key]
-        for key in ("bounds", "time_step", "horizon", "obstacles", "drivable", "lanes", "name")
-        if key in d
-    }
+    keys = ("bounds", "time_step", "horizon", "obstacles", "drivable", "lanes", "name")
+    given: dict[str, Any] = {key: d[key] for key in keys if key in d}
+    if "ego" in d:
+        given["ego"] = _ego(d["ego"])
     return Scenario(
         start=State(**d["start"]),
         goal=_goal(d["goal"]),
         agents=tuple(_agent(i, a, folder) for i, a in enumerate(d.get("agents", ()))),
-        ego=_ego(d["ego"]) if "ego" in d else None,
         vehicle=KinematicCar(**d.get("vehicle", {})),
         **given,
     )
@@ -64,7 +61,7 @@ def _goal(d: dict[str, Any]) -> Goal:
 
 
 def _region(where: str, d: dict[str, Any]) -> GoalRegion:
-    terms = {key: d[key] for key in ("heading", "heading_tolerance") if key in d}
+    terms: dict[str, Any] = {key: d[key] for key in ("heading", "heading_tolerance") if key in d}
     if "speed" in d:
         terms["speed"] = tuple(d["speed"])
     try:
@@ -100,7 +97,7 @@ _CLASSES: dict[str, Callable[..., Agent]] = {
 
 def _agent(index: int, d: dict[str, Any], folder: Path) -> Agent:
     name = f" ({d['name']})" if d.get("name") else ""
-    labels = {key: d[key] for key in ("name", "length", "width") if key in d}
+    labels: dict[str, Any] = {key: d[key] for key in ("name", "length", "width") if key in d}
     try:
         if "headings" in d:
             labels["headings"] = numbers("headings", d["headings"])
@@ -108,7 +105,8 @@ def _agent(index: int, d: dict[str, Any], folder: Path) -> Agent:
             return replace(_from_file(d["file"], folder), **labels)
         kind = "gaussian" if "gaussian" in d else "moments"
         values = {key: v if key == "modes" else _array(key, v) for key, v in d[kind].items()}
-        return _keep_weights(_CLASSES[kind](**values, **labels), values["weights"])
+        agent: Agent = _CLASSES[kind](**values, **labels)
+        return agent
     except InputError as error:
         raise InputError(f"agents[{index}]{name}: {error}") from None
 
@@ -120,21 +118,8 @@ def _array(key: str, value: Any) -> Array:
     return numbers(key, value)
 
 
-def _keep_weights(agent: Agent, weights: Array) -> Agent:
-    """Weights whose sum is 1 but for rounding stay what they were: normalised again, they would lose a bit."""
-    if weights.shape == agent.weights.shape and np.allclose(weights, agent.weights, rtol=1e-14, atol=0.0):
-        weights.flags.writeable = False
-        object.__setattr__(agent, "weights", weights)
-    return agent
-
-
 def _from_file(name: str, folder: Path) -> Agent:
-    inside = not (
-        PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive or ".." in Path(name).parts
-    )
+    inside = not (PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive or ".." in Path(name).parts)
     if not inside or not name.endswith(".npz"):
         raise InputError(f"file: expected an .npz in the scenario's directory or below, got {name!r}")
-    try:
-        return load_prediction(folder / name)
-    except (zipfile.BadZipFile, KeyError) as error:
-        raise InputError(f"{folder / name}: not a prediction file: {error}") from None
+    return load_prediction(folder / name)

@@ -59,15 +59,14 @@ def _rank(error: ValidationError) -> int:
 
 
 def _line(error: ValidationError) -> str:
-    where, rule, value = _path(error.absolute_path), error.validator, error.instance
+    where, rule = _path(error.absolute_path), error.validator
+    value: Any = error.instance
     at = f"{where}: " if where else ""
     schema: Any = error.schema
     limit: Any = error.validator_value
     if rule == "additionalProperties":
         key = next(k for k in value if k not in schema["properties"])
-        return (
-            f"{_join(where, short_key(key))}: unknown key; expected one of {', '.join(schema['properties'])}"
-        )
+        return f"{_join(where, short_key(key))}: unknown key; expected one of {', '.join(schema['properties'])}"
     if rule == "required":
         key = next(k for k in limit if k not in value)
         return f"{_join(where, key)}: missing; expected keys {', '.join(limit)}"

@@ -56,6 +56,8 @@ def numbers(name: str, value: Any) -> Array:
         InputError: naming `name`.
     """
     try:
+        if _holds_boolean(value):
+            raise TypeError("bool")
         array = np.array(value)
         if array.dtype.kind == "O":  # None among the numbers
             kinds = {type(v) for v in array.ravel()}
@@ -67,6 +69,10 @@ def numbers(name: str, value: Any) -> Array:
     if array.dtype.kind not in "iuf":
         raise InputError(f"{name}: expected numbers, got {short(value)}")
     return array.astype(np.float64)
+
+
+def _holds_boolean(value: Any) -> bool:
+    return any(map(_holds_boolean, value)) if isinstance(value, list) else isinstance(value, bool)
 
 
 def short(value: Any, length: int = 60) -> str:

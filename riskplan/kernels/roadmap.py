@@ -11,6 +11,8 @@ from riskplan.kernels.world import body_free, goal_region
 
 # accelerations, relative to the limits, with which an edge is tried
 _PACES = np.array([0.0, 0.3, -0.2, 0.8, -0.6])
+# most arrival times tried on an edge into the goal
+ARRIVALS = 12
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -61,17 +63,26 @@ def connect(sources, targets, radius, shortest_edge, longest_edge, most):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def paces(length, speed, curved, radius, dt, longest, limits, out):
+def paces(length, speed, curved, radius, dt, earliest, latest, limits, out):
     """Fill out (P, 2) with (steps, acceleration) that drive `length` in whole steps from `speed`; return how many.
 
-    The acceleration is constant, so that the speed at the end follows from the number of steps.
+    The acceleration is constant, so that the speed at the end follows from the number of steps. A few accelerations
+    are tried, rounded to whole steps; with `earliest` > 0, for an edge into the goal, arrivals spread over
+    earliest…latest steps instead.
     """
     top = limits[SPEED]
     if curved:
         top = min(top, math.sqrt(limits[LATERAL] * radius))
-    if speed > max(top, speed if not curved else 0.0) * 1.0001:
-        return 0
+        if speed > top * 1.0001:
+            return 0
     count = 0
+    if earliest > 0:
+        stride = max(1, (latest - earliest) // ARRIVALS)
+        for steps in range(earliest, latest + 1, stride):
+            count = _add_pace(steps, length, speed, top, dt, limits, count, out)
+            if count == ARRIVALS:
+                break
+        return count
     for p in range(_PACES.shape[0]):
         a = _PACES[p] * (limits[ACCELERATION] if _PACES[p] > 0.0 else limits[DECELERATION])
         under = speed * speed + 2.0 * a * length
@@ -81,21 +92,24 @@ def paces(length, speed, curved, radius, dt, longest, limits, out):
         if speed + after < 1e-6:
             continue
         steps = max(int(round(2.0 * length / (speed + after) / dt)), 1)
-        if steps > longest:
-            continue
-        duration = steps * dt
-        a = 2.0 * (length - speed * duration) / (duration * duration)
-        after = speed + a * duration
-        if after < 0.0 or after > max(top, speed) or a > limits[ACCELERATION] or a < -limits[DECELERATION]:
-            continue
-        fresh = True
-        for q in range(count):
-            if out[q, 0] == steps:
-                fresh = False
-        if fresh:
-            out[count, 0], out[count, 1] = steps, a
-            count += 1
+        if steps <= latest:
+            count = _add_pace(steps, length, speed, top, dt, limits, count, out)
     return count
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _add_pace(steps, length, speed, top, dt, limits, count, out):
+    """Append (steps, acceleration) if it is within the limits and not there yet."""
+    duration = steps * dt
+    a = 2.0 * (length - speed * duration) / (duration * duration)
+    after = speed + a * duration
+    if after < 0.0 or after > max(top, speed) or a > limits[ACCELERATION] or a < -limits[DECELERATION]:
+        return count
+    for q in range(count):
+        if out[q, 0] == steps:
+            return count
+    out[count, 0], out[count, 1] = steps, a
+    return count + 1
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -118,17 +132,21 @@ def traverse(x, y, heading, speed, step, curve, steps, acceleration, dt, latest,
 
 
 @nb.njit(cache=True, error_model="numpy")
-def expand(vertex, speed, step, latest, start, lengths, curves, radius, dt, limits, ends, distance, out):
+def expand(
+    vertex, speed, step, earliest, latest, goals, start, lengths, curves, radius, dt, limits, ends, distance, out
+):
     """Children (edge, steps, acceleration, key) of a label: all edges at all paces that can still reach the goal.
 
-    start (V+1,) offsets of each vertex's edges; distance (V,) straight distance of a vertex to the goal. The key is
-    the earliest step at which the goal could be reached that way.
+    goals: first and last+1 vertex that lies in the goal; start (V+1,) offsets of each vertex's edges; distance (V,)
+    straight distance of a vertex to the goal. The key is the earliest step at which the goal could be reached that way.
     """
     count = 0
-    room = np.empty((_PACES.shape[0], 2))
+    room = np.empty((max(_PACES.shape[0], ARRIVALS), 2))
     for e in range(start[vertex], start[vertex + 1]):
         curved = curves[e, 0] + curves[e, 2] > 1e-6
-        for p in range(paces(lengths[e], speed, curved, radius, dt, latest, limits, room)):
+        # other edges may outlast the horizon: the goal can lie on the way
+        soonest, last = (max(earliest - step, 1), latest - step) if goals[0] <= ends[e] < goals[1] else (0, latest)
+        for p in range(paces(lengths[e], speed, curved, radius, dt, soonest, last, limits, room)):
             steps, a = int(room[p, 0]), room[p, 1]
             after = speed + a * steps * dt
             left = _least_time(distance[ends[e]], after, limits[ACCELERATION], limits[SPEED])

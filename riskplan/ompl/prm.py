@@ -16,7 +16,7 @@ from ompl import util as ou
 from checkers import InputError, checker
 from checkers.validate import Array, as_array, as_scalar
 from riskplan.kernels.car import pack_limits
-from riskplan.kernels.roadmap import connect, expand, traverse
+from riskplan.kernels.roadmap import ARRIVALS, connect, expand, traverse
 from riskplan.ompl.sampling import LaneSampler
 from riskplan.ompl.validity import RiskStateValidityChecker
 from riskplan.scene import Scenario
@@ -213,6 +213,7 @@ class _Query:
         to_goal = connect(roadmap.vertices, goals, *args, 8)
         begin = connect(start, self.vertices[:-1], *args, 10 * _EDGES)
         shift = len(roadmap.vertices)
+        self.goals = (shift, shift + len(goals))
         ends = np.concatenate([roadmap.ends, to_goal[0] + [0, shift], begin[0] + [self.source, 0]])
         order = np.argsort(ends[:, 0], kind="stable")
         self.ends = np.ascontiguousarray(ends[order, 1])
@@ -228,7 +229,7 @@ class _Query:
         p, budget = self.problem, self.budget
         goal, dt = p.goal, p.scenario.time_step
         out = np.empty((max(goal.latest, 1), 4))
-        room = np.empty((self._widest() * 5, 4))
+        room = np.empty((self._widest() * ARRIVALS, 4))
         # state, step, vertex, risk, total, parent, driven poses
         labels: list[tuple[Array, int, int, Array, float, int, Array]] = []
         labels.append((np.array(p.start_state), 0, self.source, p.start_risk, p.start_total, -1, np.zeros((0, 4))))
@@ -243,7 +244,9 @@ class _Query:
                 vertex,
                 state[3],
                 step,
+                goal.earliest,
                 goal.latest,
+                self.goals,
                 self.start,
                 self.lengths,
                 self.curves,
