@@ -13,13 +13,19 @@ $(STAMP): pyproject.toml
 	$(BIN)/python -m pip install --quiet -e ".[predictor,commonroad,dev]"
 	touch $(STAMP)
 
-demo: $(STAMP)
+# numba's cache looks at the file of a kernel only, not at the kernels it calls: drop it when any of them is newer
+KERNELS := $(wildcard checkers/kernels/*.py checkers/backends/*.py riskplan/kernels/*.py)
+$(VENV)/.kernels: $(STAMP) $(KERNELS)
+	find checkers riskplan -name '*.nb[ic]' -delete
+	touch $@
+
+demo: $(VENV)/.kernels
 	$(BIN)/riskplan demo --out out/demo
 
-test: $(STAMP)
+test: $(VENV)/.kernels
 	$(BIN)/python -m pytest -m "not slow"
 
-slow: $(STAMP)
+slow: $(VENV)/.kernels
 	$(BIN)/python -m pytest -m slow
 
 lint: $(STAMP)
@@ -31,8 +37,9 @@ types: $(STAMP)
 
 check: lint types test
 
-bench: $(STAMP)
-	$(BIN)/python -m benchmarks.planning --data "$(DATA)"
+# the tables of the README; BENCH_ARGS="--files 4 --long 0" for a quick look
+bench: $(VENV)/.kernels
+	$(BIN)/python -m benchmarks.planning --data "$(DATA)" $(BENCH_ARGS)
 
 wheel: $(STAMP)
 	$(BIN)/python -m build --wheel --outdir dist .

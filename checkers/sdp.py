@@ -40,7 +40,8 @@ def certified_value(coefficients: Array, moments: Array, x0: float) -> float:
     left = points <= x0
     lift = max(0.0, -float(values.min()), 1.0 - float(values[left].min()))
     slack = 1e-12 * float(np.abs(coefficients) @ np.abs(moments))
-    return float(min(1.0, max(0.0, coefficients @ moments) + lift + slack))
+    mean = max(0.0, float(coefficients @ moments))
+    return min(1.0, mean + lift + slack)
 
 
 def _usable(moments: Array, noise: Array) -> int:

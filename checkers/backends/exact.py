@@ -29,7 +29,7 @@ class Exact(Checker):
         needs="a Gaussian mixture",
         assumption="Gaussian modes",
         source="periodic trapezoid rule, Trefethen & Weideman 2014",
-        cost="2 µs",
+        cost="3 µs",
     )
 
     @property

@@ -45,7 +45,7 @@ class Imhof(Checker):
         needs="a Gaussian mixture",
         assumption="Gaussian modes",
         source="Imhof 1961; contour of Helstrom 1996",
-        cost="25 µs",
+        cost="10 to 25 µs",
     )
 
     @property
