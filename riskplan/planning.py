@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from checkers import DEPENDENCE, Checker, InputError, checker
+from checkers import DEPENDENCE, Checker, InputError, TrajectoryRisk, checker
 from checkers.validate import as_option, as_scalar
 from riskplan.evaluator import RiskEvaluator
 from riskplan.result import Plan
+from riskplan.rounding import by_kind
 from riskplan.scene import Scenario
 from riskplan.search import Budget, Planner, Problem, SearchResult
 from riskplan.warm_up import warm_up
@@ -207,11 +208,15 @@ def _judged(
         risk=risk,
         marginals=marginals,
         bound=bound,
-        message=f"reached the goal after {s.times[len(poses) - 1]:.1f} s at risk {total:.3g}{stated}",
+        message=f"reached the goal after {s.times[len(poses) - 1]:.1f} s at risk {_text(risk)}{stated}",
         settings=settings,
         stats=stats,
         search=found.edges,
     )
+
+
+def _text(risk: TrajectoryRisk | None) -> str:
+    return "0, without agents" if risk is None else by_kind(float(risk.total), risk.kind.value)
 
 
 def _no_plan(status: str, message: str, bound: float | None, settings: dict[str, Any], stats: dict[str, Any]) -> Plan:

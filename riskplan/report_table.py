@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
-from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from typing import Any
 
 from rich import box
@@ -14,37 +13,9 @@ from rich.text import Text
 
 from checkers import Kind
 from riskplan.result import CheckerVerdict, Plan, Report, SampledRisk
+from riskplan.rounding import by_kind, lower, risk_text, upper
 
 _SIDE_BY_SIDE = 3  # backends in one table at 100 columns
-
-
-def risk_text(value: float | None, rounding: str = ROUND_HALF_EVEN, digits: int = 3) -> str:
-    """A probability with three significant digits, rounded the way its claim allows."""
-    if value is None or value != value:
-        return "-"
-    exact = Decimal(float(value))
-    if not exact:
-        return "0"
-    step = Decimal(1).scaleb(exact.adjusted() - digits + 1)
-    rounded = exact.quantize(step, rounding=rounding)
-    if rounded.adjusted() > exact.adjusted():  # 0.9996 became 1.000
-        rounded = rounded.quantize(step.scaleb(1))
-    return f"{rounded:f}" if rounded.adjusted() >= -4 else f"{rounded:.{digits - 1}e}"
-
-
-def upper(value: float | None) -> str:
-    """An upper end: never printed below its value."""
-    return risk_text(value, ROUND_CEILING)
-
-
-def lower(value: float | None) -> str:
-    """A lower end: never printed above its value."""
-    return risk_text(value, ROUND_FLOOR)
-
-
-def by_kind(value: float | None, kind: str) -> str:
-    """A bound is rounded up, the rest to nearest."""
-    return upper(value) if kind == Kind.UPPER_BOUND.value else risk_text(value)
 
 
 def print_report(plan: Plan, report: Report | None, console: Console | None = None, title: str = "") -> None:

@@ -16,7 +16,8 @@ from rich.console import Console
 import riskplan as rp
 from riskplan import interrupt
 from riskplan.cli import main
-from riskplan.report_table import lower, report_view, risk_text, upper
+from riskplan.report_table import report_view
+from riskplan.rounding import lower, risk_text, upper
 
 DEMO = Path(rp.__file__).parent / "data" / "overtake.yaml"
 SMALL = """

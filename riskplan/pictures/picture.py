@@ -14,6 +14,7 @@ from checkers import EgoShape, Kind
 from checkers.validate import Array
 from riskplan.pictures import geometry, palette
 from riskplan.result import Plan
+from riskplan.rounding import by_kind
 from riskplan.scene import Agent, Scenario
 
 SIGMAS = 2.0
@@ -209,7 +210,8 @@ def _facts(plan: Plan | None) -> tuple[tuple[str, str], ...]:
     if plan.bound is not None:
         facts.append(("risk bound", palette.number(plan.bound)))
     if plan.risk is not None:
-        facts.append(("total risk", _CLAIM[plan.risk.kind] + palette.number(float(plan.risk.total))))
+        total = by_kind(float(plan.risk.total), plan.risk.kind.value)
+        facts.append(("total risk", _CLAIM[plan.risk.kind] + total))
     facts += [(key, str(plan.settings[key])) for key in ("planner", "checker") if key in plan.settings]
     return tuple(facts)
 
