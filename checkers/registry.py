@@ -15,7 +15,10 @@ BACKENDS = {
     "imhof": "imhof:Imhof",
     "chebyshev": "chebyshev:Chebyshev",
     "halfspace": "halfspace:HalfSpace",
+    "marshall-olkin": "marshall_olkin:MarshallOlkin",
+    "unimodal-halfspace": "unimodal:UnimodalHalfSpace",
     "sos": "sos:Sos",
+    "projected-sos": "projected_sos:ProjectedSos",
     "monte-carlo": "monte_carlo:MonteCarlo",
 }
 

@@ -261,3 +261,28 @@ def _eigenvalues(alpha, beta, size):
                 e[low] = g
                 e[m] = 0.0
     return d
+
+
+@nb.njit(cache=True, error_model="numpy")
+def projection(a1, a2, spread, moments, moments_order, order, out, noise):
+    """Fill `out` with the moments 0…order of aᵀη / spread and `noise` with their rounding error.
+
+    From central moments of y (row-major (n+1)²), or of a Gaussian if moments_order is 0.
+    """
+    n = moments_order + 1
+    out[0], noise[0] = 1.0, 0.0
+    for k in range(1, order + 1):
+        if moments_order == 0:
+            out[k] = (k - 1) * out[k - 2] if k > 1 else 0.0
+            noise[k] = 4.0 * k * _EPS * out[k]
+            continue
+        total, most, choose = 0.0, 0.0, 1.0
+        for j in range(k + 1):  # C(k, j) a1^(k−j) a2^j E[η1^(k−j) η2^j]
+            term = choose * a1 ** (k - j) * a2**j * moments[(k - j) * n + j]
+            total += term
+            most += abs(term)
+            choose *= (k - j) / (j + 1.0)
+        scale = spread**k
+        out[k], noise[k] = total / scale, 4.0 * (k + 2) * _EPS * most / scale
+    if order >= 1:
+        out[1], noise[1] = 0.0, 4.0 * _EPS
