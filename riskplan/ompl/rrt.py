@@ -39,7 +39,7 @@ class Rrt:
         goal_bias: share of samples drawn from the goal.
     """
 
-    motion_steps: int = 5
+    motion_steps: int = 15
     goal_bias: float = 0.2
 
     def __post_init__(self) -> None:
