@@ -97,6 +97,10 @@ class Budget:
         """Whether the time is up, or someone asked to stop."""
         return perf_counter() > self._end or (self._stop is not None and self._stop())
 
+    def left(self) -> float:
+        """Seconds left."""
+        return self._end - perf_counter()
+
     def found(self, total: float) -> bool:
         """Report an arrival at this total risk; returns whether the search is over."""
         if self.bound is not None:

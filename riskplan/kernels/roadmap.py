@@ -16,11 +16,12 @@ ARRIVALS = 12
 
 
 @nb.njit(cache=True, error_model="numpy")
-def connect(sources, targets, radius, shortest_edge, longest_edge, most):
+def connect(sources, targets, radii, shortest_edge, longest_edge, most):
     """Edges from every source pose to at most `most` target poses ahead of it.
 
-    An edge is kept if it is between the lengths given and hardly longer than the straight line: no loops. Targets are
-    taken in their (random) order, so that few edges still point everywhere.
+    The first of the turning radii (widest first) that needs no loop makes the curve: an edge is kept if it is between
+    the lengths given and hardly longer than the straight line. Targets are taken in their (random) order, so that few
+    edges still point everywhere.
 
     Returns:
         (E, 2) int source and target, (E, 6) curves, (E,) lengths.
@@ -42,16 +43,20 @@ def connect(sources, targets, radius, shortest_edge, longest_edge, most):
                 continue
             if abs(wrap(targets[j, 2] - sources[i, 2])) > 1.7:
                 continue
-            length = shortest(
-                sources[i, 0],
-                sources[i, 1],
-                sources[i, 2],
-                targets[j, 0],
-                targets[j, 1],
-                targets[j, 2],
-                radius,
-                curves[count],
-            )
+            length = np.inf
+            for radius in radii:
+                length = shortest(
+                    sources[i, 0],
+                    sources[i, 1],
+                    sources[i, 2],
+                    targets[j, 0],
+                    targets[j, 1],
+                    targets[j, 2],
+                    radius,
+                    curves[count],
+                )
+                if length <= 1.15 * straight + 0.2:
+                    break
             if length > 1.15 * straight + 0.2:
                 continue
             ends[count, 0], ends[count, 1], lengths[count] = i, j, length
@@ -63,7 +68,7 @@ def connect(sources, targets, radius, shortest_edge, longest_edge, most):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def paces(length, speed, curved, radius, dt, earliest, latest, limits, out):
+def paces(length, speed, curvature, dt, earliest, latest, limits, out):
     """Fill out (P, 2) with (steps, acceleration) that drive `length` in whole steps from `speed`; return how many.
 
     The acceleration is constant, so that the speed at the end follows from the number of steps. A few accelerations
@@ -71,8 +76,8 @@ def paces(length, speed, curved, radius, dt, earliest, latest, limits, out):
     earliest…latest steps instead.
     """
     top = limits[SPEED]
-    if curved:
-        top = min(top, math.sqrt(limits[LATERAL] * radius))
+    if curvature > 0.0:
+        top = min(top, math.sqrt(limits[LATERAL] / curvature))
         if speed > top * 1.0001:
             return 0
     count = 0
@@ -132,9 +137,7 @@ def traverse(x, y, heading, speed, step, curve, steps, acceleration, dt, latest,
 
 
 @nb.njit(cache=True, error_model="numpy")
-def expand(
-    vertex, speed, step, earliest, latest, goals, start, lengths, curves, radius, dt, limits, ends, distance, out
-):
+def expand(vertex, speed, step, earliest, latest, goals, start, lengths, curves, dt, limits, ends, distance, out):
     """Children (edge, steps, acceleration, key) of a label: all edges at all paces that can still reach the goal.
 
     goals: first and last+1 vertex that lies in the goal; start (V+1,) offsets of each vertex's edges; distance (V,)
@@ -143,10 +146,13 @@ def expand(
     count = 0
     room = np.empty((max(_PACES.shape[0], ARRIVALS), 2))
     for e in range(start[vertex], start[vertex + 1]):
-        curved = curves[e, 0] + curves[e, 2] > 1e-6
+        curvature = 0.0
+        for i in range(3):
+            if curves[e, i] > 1e-6:
+                curvature = max(curvature, abs(curves[e, 3 + i]))
         # other edges may outlast the horizon: the goal can lie on the way
         soonest, last = (max(earliest - step, 1), latest - step) if goals[0] <= ends[e] < goals[1] else (0, latest)
-        for p in range(paces(lengths[e], speed, curved, radius, dt, soonest, last, limits, room)):
+        for p in range(paces(lengths[e], speed, curvature, dt, soonest, last, limits, room)):
             steps, a = int(room[p, 0]), room[p, 1]
             after = speed + a * steps * dt
             left = _least_time(distance[ends[e]], after, limits[ACCELERATION], limits[SPEED])

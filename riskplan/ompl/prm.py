@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from checkers import InputError, checker
-from checkers.validate import Array, as_array, as_scalar
+from checkers.validate import Array, as_array
 from riskplan.kernels.car import pack_limits
 from riskplan.kernels.roadmap import ARRIVALS, connect, expand, traverse
 from riskplan.ompl.sampling import LaneSampler
@@ -38,7 +39,7 @@ class Roadmap:
         ends: (E, 2) int source and target of the edges.
         curves: (E, 6) segment lengths [m] and curvatures [1/m].
         lengths: (E,) [m].
-        radius: turning radius of the edges [m].
+        radii: turning radii tried for the edges, widest first [m].
         longest: longest edge [m].
     """
 
@@ -46,15 +47,16 @@ class Roadmap:
     ends: np.ndarray
     curves: Array
     lengths: Array
-    radius: float
+    radii: Array
     longest: float
 
     @classmethod
-    def of(cls, vertices: Array, radius: float, longest: float) -> Roadmap:
+    def of(cls, vertices: Array, radii: Array, longest: float) -> Roadmap:
         """Connect the vertices."""
         vertices = as_array("vertices", vertices, ("V", 3))
-        ends, curves, lengths = connect(vertices, vertices, radius, 2.0, longest, _EDGES)
-        return cls(vertices, ends, curves, lengths, radius, longest)
+        radii = as_array("radii", radii, ("R",))
+        ends, curves, lengths = connect(vertices, vertices, radii, 2.0, longest, _EDGES)
+        return cls(vertices, ends, curves, lengths, radii, longest)
 
     @classmethod
     def build(cls, scenario: Scenario, size: int = 1000, seed: int = 0) -> Roadmap:
@@ -65,7 +67,7 @@ class Roadmap:
     def save(self, path: str | Path) -> None:
         """Write to an `.npz` (no pickle); edges follow from the vertices and are made anew on loading."""
         with open(path, "wb") as file:
-            np.savez(file, allow_pickle=False, vertices=self.vertices, radius=self.radius, longest=self.longest)
+            np.savez(file, allow_pickle=False, vertices=self.vertices, radii=self.radii, longest=self.longest)
 
     @classmethod
     def load(cls, path: str | Path) -> Roadmap:
@@ -76,13 +78,14 @@ class Roadmap:
         """
         try:
             with np.load(path, allow_pickle=False) as data:
-                vertices, radius, longest = data["vertices"], float(data["radius"]), float(data["longest"])
+                vertices, radii, longest = data["vertices"], data["radii"], float(data["longest"])
         except FileNotFoundError:
             raise InputError(f"{path}: no such file") from None
         except (ValueError, OSError, EOFError, KeyError) as error:
             raise InputError(f"{path}: not a roadmap: {error}") from None
-        as_scalar("radius", radius, low=0.0, strict=True)
-        return cls.of(vertices, radius, longest)
+        if not (np.ndim(radii) == 1 and (radii > 0).all()):
+            raise InputError(f"{path}: radii: expected positive numbers, got {radii!r}")
+        return cls.of(vertices, radii, longest)
 
 
 @dataclass(frozen=True)
@@ -116,9 +119,11 @@ class Prm:
         counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
         lowest = np.inf
         while True:
+            began = perf_counter()
             if roadmap is None:
                 sampler = sampler or _Sampler(problem.scenario, problem.world, seed)
                 roadmap = Roadmap.of(sampler.grow(size), *_edge_scale(problem.scenario))
+            built = perf_counter() - began
             query = _Query(problem, budget, roadmap, rng)
             result = query.run()
             lowest = min(lowest, result.lowest_seen)
@@ -129,10 +134,10 @@ class Prm:
                 best = result
             if budget.expired() or (best.states is not None and budget.bound is not None):
                 break
-            # larger at first; once large, another one of that size
-            size, roadmap = 2 * max(size, len(roadmap.vertices)), None
-            if size > _LARGEST:
-                size, sampler, seed = _LARGEST, None, seed + 1
+            # larger at first; once large, or if a larger one would take what time is left, another one of that size
+            before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
+            if size > _LARGEST or budget.left() < 8.0 * built:
+                size, sampler, seed = min(before, _LARGEST), None, seed + 1
         return SearchResult(best.states, lowest, counters, best.edges)
 
 
@@ -209,7 +214,7 @@ class _Query:
         start = np.array([problem.start_state[:3]])
         self.vertices = np.concatenate([roadmap.vertices, goals, start])
         self.source = len(self.vertices) - 1
-        args = (roadmap.radius, 2.0, roadmap.longest)
+        args = (roadmap.radii, 2.0, roadmap.longest)
         to_goal = connect(roadmap.vertices, goals, *args, 8)
         begin = connect(start, self.vertices[:-1], *args, 10 * _EDGES)
         shift = len(roadmap.vertices)
@@ -220,7 +225,6 @@ class _Query:
         self.curves = np.concatenate([roadmap.curves, to_goal[1], begin[1]])[order]
         self.lengths = np.concatenate([roadmap.lengths, to_goal[2], begin[2]])[order]
         self.start = np.searchsorted(ends[order, 0], np.arange(len(self.vertices) + 1))
-        self.radius = roadmap.radius
         region = shapely.union_all([shapely.Polygon(r.polygon).buffer(0) for r in s.goal.regions])
         self.distance = shapely.distance(region, shapely.points(self.vertices[:, :2]))
 
@@ -250,7 +254,6 @@ class _Query:
                 self.start,
                 self.lengths,
                 self.curves,
-                self.radius,
                 dt,
                 self.limits,
                 self.ends,
@@ -365,9 +368,11 @@ def _free_goals(problem: Problem, rng: np.random.Generator, count: int) -> Array
     return np.array(poses[:count]).reshape(-1, 3)
 
 
-def _edge_scale(scenario: Scenario) -> tuple[float, float]:
-    """(turning radius, longest edge) that suit the speeds to be expected."""
+def _edge_scale(scenario: Scenario) -> tuple[Array, float]:
+    """(turning radii, longest edge) that suit the speeds to be expected, and slower ones round tighter corners."""
     v = scenario.vehicle
     pace = min(v.max_speed, max(scenario.start.speed + 2.0, 5.0))
-    radius = max(1.0 / v.max_curvature, pace * pace / v.max_lateral_acceleration)
-    return radius, max(2.0 * pace, 10.0)
+    tightest = 1.0 / v.max_curvature
+    widest = max(tightest, pace * pace / v.max_lateral_acceleration)
+    radii = [widest / 2**k for k in range(4) if widest / 2**k > tightest]
+    return np.array([*radii, tightest]), max(2.0 * pace, 10.0)

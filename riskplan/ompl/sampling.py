@@ -60,12 +60,14 @@ class LaneSampler(ob.ValidStateSampler):
             return anywhere
         lane = self._lanes[np.minimum(np.searchsorted(self._cumulated, rng.random(count)), len(self._lanes) - 1)]
         along = rng.random(count) * lane[:, 4]
-        across = rng.standard_normal(count) * 0.6
+        # half of the poses keep to the lane closely: in a narrow one no others are of use
+        loose = np.where(rng.random(count) < 0.5, 1.0, 0.2)
+        across = rng.standard_normal(count) * 0.6 * loose
         poses = np.column_stack(
             [
                 lane[:, 0] + along * lane[:, 2] - across * lane[:, 3],
                 lane[:, 1] + along * lane[:, 3] + across * lane[:, 2],
-                (lane[:, 5] + rng.standard_normal(count) * 0.08 + np.pi) % (2 * np.pi) - np.pi,
+                (lane[:, 5] + rng.standard_normal(count) * 0.08 * loose + np.pi) % (2 * np.pi) - np.pi,
             ]
         )
         inside = ((poses[:, :2] >= low) & (poses[:, :2] <= high)).all(axis=1)
