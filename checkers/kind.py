@@ -13,6 +13,9 @@ class Kind(Enum):
     UPPER_BOUND = "upper bound"
     ESTIMATE = "estimate"
 
+    def __str__(self) -> str:
+        return self.value
+
     @staticmethod
     def weakest(kinds: Iterable[Kind]) -> Kind:
         """The claim of a sum: one estimate makes an estimate, else one bound makes a bound."""

@@ -34,7 +34,7 @@ def open_commonroad(path: str | Path) -> tuple[Any, Any]:
             from commonroad.common.file_reader import CommonRoadFileReader  # noqa: PLC0415 (an extra)
         except ImportError:
             raise InputError(
-                f"{path}: reading CommonRoad files needs commonroad-io: pip install 'riskplan[commonroad]'"
+                f"{path}: reading CommonRoad files needs commonroad-io: pip install '.[commonroad]' in the checkout"
             ) from None
         try:
             scenario, problems = CommonRoadFileReader(str(path)).open()

@@ -72,21 +72,14 @@ class Road:
         line = _extended(np.concatenate([lane.centre for lane in chain]), reach)
         begin, end = shapely.line_locate_point(line, shapely.points(path[[0, -1]]))
         least = float(begin + share * max(end - begin, 0.0))
-        cuts = [
-            lane.cut(lane.station(line, least), longest, turn)
-            for lane in self._connected(chain, path[0], reach)
-        ]
+        cuts = [lane.cut(lane.station(line, least), longest, turn) for lane in self._connected(chain, path[0], reach)]
         pieces = [piece for cut in cuts for piece in cut]
         start = shapely.Point(path[0])
-        return [
-            (p, h) for p, h in pieces if _same_way(line, p, h) and shapely.Polygon(p).distance(start) <= reach
-        ]
+        return [(p, h) for p, h in pieces if _same_way(line, p, h) and shapely.Polygon(p).distance(start) <= reach]
 
     @cached_property
     def _outlines(self) -> Any:
-        return shapely.make_valid(
-            np.array([shapely.Polygon(lane.outline) for lane in self.lanes], dtype=object)
-        )
+        return shapely.make_valid(np.array([shapely.Polygon(lane.outline) for lane in self.lanes], dtype=object))
 
     @cached_property
     def _by_name(self) -> dict[str, Lane]:

@@ -86,8 +86,7 @@ class Track:
     def _only(self, kept: Any, wanted: str) -> Track:
         if not np.any(kept):
             raise InputError(
-                f"times: expected {wanted}, "
-                f"got track {self.name!r} from {self.times[0]:g} to {self.times[-1]:g} s"
+                f"times: expected {wanted}, got track {self.name!r} from {self.times[0]:g} to {self.times[-1]:g} s"
             )
         return self._with(self.times[kept], self.positions[kept], self.headings[kept], self.speeds[kept])
 

@@ -63,7 +63,8 @@ def _planned(
     from riskplan.planning import plan as make_plan  # noqa: PLC0415
     from riskplan.report import audit  # noqa: PLC0415
 
-    with _progress(f"planning with {planner} (time limit {options['time_limit']:g} s)"):
+    limit = f"time limit {options['time_limit']:g} s; the first run ever compiles for about 20 s"
+    with _progress(f"planning with {planner} ({limit})"):
         plan = make_plan(scenario, planner=planner, checker=checker, stop=interrupt.requested, **options)
     if not plan.solved:
         return plan, None
@@ -143,6 +144,8 @@ def _demo(args: argparse.Namespace) -> int:
         for p, r in results.items():
             _show(False, *r, files[p], title=f"{scenario.name}, {p}")
             print()
+        if not args.out:
+            print("--out DIR writes plan, report and pictures")
     return SOLVED if all(plan.solved for plan, _ in results.values()) else NO_PLAN
 
 

@@ -115,22 +115,29 @@ class RiskEvaluator:
         return total * (1.0 + self.checker.search_slack)
 
     def at_time(self, pose: Array, time: float) -> float:
-        """Marginal risk at any time, summed over agents; agents are interpolated between grid steps. NaN outside."""
+        """Marginal risk at any time, summed over agents, at most 1; agents are interpolated between grid steps.
+
+        NaN where it is not known: at a time that some agent's prediction does not cover, or a pose that is not finite.
+        """
+        if not self.agents:
+            return 0.0
         position = np.searchsorted(self.times, time - 1e-9)
-        if time < -1e-9 or position >= len(self.times):
+        if not time >= self.times[0] - 1e-9 or position >= len(self.times) or not np.isfinite(pose).all():
             return float("nan")
         left = max(int(position) - 1, 0)
         gap = self.times[position] - self.times[left]
         share = 1.0 if gap == 0 else min(max((time - self.times[left]) / gap, 0.0), 1.0)
         g = self.grid
         row = g.rows[position] if share > 1.0 - 1e-9 else (1 - share) * g.rows[left] + share * g.rows[position]
+        if np.isnan(row[:, hot.WEIGHT]).any():
+            return float("nan")
         grid = AgentGrid(row[None], g.index, g.pieces, g.groups, g.owner, g.order)
         call = list(self._call)
         call[3] = grid.rows
         given = _NONE if self.checker.kernel else self._given(np.reshape(pose, (1, 3)), 0, grid)
         zero, after = np.zeros(self.groups), np.zeros(self.groups)
         total: float = hot.charge(*call, given, np.reshape(pose, (1, 3)), 0, zero, np.inf, after)
-        return total * (1.0 + self.checker.search_slack)
+        return min(total * (1.0 + self.checker.search_slack), 1.0) if total == total else total
 
     def judge(self, poses: Array) -> tuple[TrajectoryRisk | None, tuple[Array, ...]]:
         """Risk of poses (S, 3) at the first S grid times, start included, every mode evaluated.

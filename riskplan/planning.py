@@ -143,7 +143,7 @@ def plan(
         **found.counters,
         "preparation": prepared - began,
         "search": searched - prepared,
-        "lowest_risk_seen": found.lowest_seen if np.isfinite(found.lowest_seen) else None,
+        "lowest_risk_seen": min(found.lowest_seen, 1.0) if np.isfinite(found.lowest_seen) else None,
     }
     return _judged(problem, found, bound, settings, stats)
 
@@ -151,7 +151,6 @@ def plan(
 def _refusal(problem: Problem, bound: float | None) -> tuple[str, str] | None:
     """Status and message where no search is worth starting."""
     s = problem.scenario
-    limit = np.inf if bound is None else bound
     if not start_is_free(problem.world, s.start):
         return (
             "start_in_obstacle",
@@ -162,12 +161,12 @@ def _refusal(problem: Problem, bound: float | None) -> tuple[str, str] | None:
             "goal_in_obstacle",
             "no goal region has a part that is within bounds and free of the static world",
         )
-    if not problem.start_total <= limit:
-        return (
-            "start_at_risk",
-            f"the risk at the start is {problem.start_total:.3g}, above the bound {limit:g}",
-        )
-    if problem.goal.latest < problem.goal.earliest or goal_too_far(s):
+    at_start, _ = problem.evaluator.judge(np.array([problem.start_state[:3]]))
+    if bound is not None and at_start is not None and not at_start.total <= bound:
+        return "start_at_risk", f"the risk at the start is {_text(at_start)}, above the bound {bound:g}"
+    if problem.goal.latest < problem.goal.earliest:
+        return "goal_unreachable", "no time of the planning grid within the horizon lies in the goal's time window"
+    if goal_too_far(s):
         return (
             "goal_unreachable",
             "no goal region is within reach of the vehicle inside the time window and horizon",
@@ -185,7 +184,11 @@ def _judged(
     s = problem.scenario
     if found.states is None:
         seen = stats["lowest_risk_seen"]
-        why = f"the lowest risk seen at the goal was {seen:.3g}" if seen is not None else "no way to the goal was seen"
+        why = (
+            f"of the ways to the goal that were seen the least risk was {seen:.3g}"
+            if seen is not None
+            else "no way to the goal was seen"
+        )
         message = (
             f"no plan within {'reach' if bound is None else f'the bound {bound:g}'} in {stats['search']:.2f} s; {why}"
         )

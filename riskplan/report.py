@@ -66,7 +66,7 @@ def audit(
         sampled=sampled,
         bound=plan.bound,
         within_bound=within,
-        consistent=sampled is None or all(sampled.interval[0] <= float(r.total) for r in stated),
+        consistent=sampled is None or not any(sampled.interval[0] > float(r.total) for r in stated),
         stats=plan.stats,
     )
 
@@ -104,10 +104,11 @@ def sample_risk(
     low, high = clopper_pearson(np.append(counts, any_count), samples, confidence)
     share = np.where(known, counts / samples, np.nan)
     interval = np.where(known[:, None], np.column_stack([low, high])[:-1], np.nan)
+    nothing = not known.any()  # nothing sampled is nothing known, not no risk
     return SampledRisk(
         samples,
-        any_count / samples,
-        (float(low[-1]), float(high[-1])),
+        np.nan if nothing else any_count / samples,
+        (np.nan, np.nan) if nothing else (float(low[-1]), float(high[-1])),
         share,
         interval,
         confidence,

@@ -89,7 +89,8 @@ def _sampled(sampled: SampledRisk | None, agent: int | None) -> tuple[str, ...]:
         share, (low, high) = float(sampled.per_agent[agent]), sampled.per_agent_interval[agent]
     if share != share:
         return ("not sampled",)
-    return (f"{risk_text(share)}  [{lower(low)}, {upper(high)}]",)
+    some = "≥ " if agent is None and not sampled.complete else ""  # the others may add to it
+    return (f"{some}{risk_text(share)}  [{lower(low)}, {upper(high)}]",)
 
 
 def _remarks(report: Report) -> Iterable[str]:

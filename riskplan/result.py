@@ -82,7 +82,8 @@ class SampledRisk:
 
     Attributes:
         samples: drawn.
-        total, interval: share of samples that collide with any agent, and its Clopper-Pearson interval.
+        total, interval: share of samples that collide with any agent, and its Clopper-Pearson interval; NaN if no
+            agent could be sampled.
         per_agent, per_agent_interval: (A,), (A, 2); NaN for agents that cannot be sampled.
         confidence: of the intervals.
         complete: whether every agent could be sampled; if not, `total` is of the others only.

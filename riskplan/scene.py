@@ -50,7 +50,7 @@ class GoalRegion:
     speed: tuple[float, float] = (0.0, np.inf)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "polygon", _polygon("goal.polygon", self.polygon))
+        object.__setattr__(self, "polygon", _simple_polygon("goal.polygon", self.polygon))
         if self.heading is not None:
             object.__setattr__(self, "heading", as_scalar("goal.heading", self.heading))
         tolerance = as_scalar("goal.heading_tolerance", self.heading_tolerance, low=0.0)
@@ -169,7 +169,8 @@ class Scenario:
         if not (bounds[0] <= s.x <= bounds[2] and bounds[1] <= s.y <= bounds[3]):
             raise InputError(f"start: ({s.x:g}, {s.y:g}) lies outside the bounds {list(bounds)}")
         for name in ("obstacles", "drivable"):
-            put(self, name, tuple(_polygon(f"{name}[{i}]", p) for i, p in enumerate(getattr(self, name))))
+            check = _simple_polygon if name == "obstacles" else _polygon
+            put(self, name, tuple(check(f"{name}[{i}]", p) for i, p in enumerate(getattr(self, name))))
         put(self, "lanes", tuple(_line(f"lanes[{i}]", p) for i, p in enumerate(self.lanes)))
         agents = tuple(self.agents)
         for i, agent in enumerate(agents):
@@ -232,6 +233,17 @@ def _polygon(name: str, value: Any) -> Array:
     polygon = as_array(name, value, ("N", 2))
     if len(polygon) < 3:
         raise InputError(f"{name}: expected at least 3 vertices, got {len(polygon)}")
+    return polygon
+
+
+def _simple_polygon(name: str, value: Any) -> Array:
+    """A polygon with an area and without crossing edges: of others "inside" is a matter of taste."""
+    import shapely  # noqa: PLC0415  costs import time
+
+    polygon = _polygon(name, value)
+    shape = shapely.Polygon(polygon)
+    if not shape.is_valid or shape.area <= 0.0:
+        raise InputError(f"{name}: expected a simple polygon with an area, got {shapely.is_valid_reason(shape)}")
     return polygon
 
 

@@ -89,7 +89,8 @@ class Budget:
 
     def __init__(self, bound: float | None, time_limit: float, stop: Callable[[], bool] | None = None) -> None:
         self.bound = bound
-        self.limit = np.inf if bound is None else bound  # agents are summed: without a bound totals above 1 count too
+        # agents are summed uncapped: where any risk will do, totals above 1 will too
+        self.limit = np.inf if bound is None or bound >= 1.0 else bound
         self._end = perf_counter() + time_limit
         self._stop = stop
 

@@ -14,6 +14,9 @@ from riskplan.kernels import world as hot
 from riskplan.scene import GoalRegion, Scenario, State
 
 _CELL = 2.0
+_MOST_CELLS = 250_000
+# the grid is shifted so that the middle of no cell lies on an edge with round coordinates, where "inside" is ambiguous
+_SHIFT = np.array([0.381966011250105, 0.236067977499790])
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +40,9 @@ class StaticWorld:
             union = shapely.union_all([shapely.Polygon(p).buffer(1e-2) for p in s.drivable]).buffer(-1e-2)
             area = union.intersection(box)
         if s.obstacles:
-            area = area.difference(shapely.union_all([shapely.Polygon(p).buffer(0) for p in s.obstacles]))
-        return area
+            area = area.difference(shapely.union_all([shapely.Polygon(p) for p in s.obstacles]))
+        # touching shapes leave points and lines behind, which have no inside
+        return shapely.union_all([part for part in shapely.get_parts(area) if part.geom_type == "Polygon"])
 
     @cached_property
     def packed(self) -> tuple[object, ...]:
@@ -48,18 +52,20 @@ class StaticWorld:
         bounds = np.array(s.bounds)
         segments = _boundary(self.allowed)
         if not len(segments):
-            free = self.allowed is None or not self.allowed.is_empty
+            free = self.allowed is None
             empty = np.zeros(0, np.int64)
             return (*half, bounds, bounds[:2], 1.0, 0, 0, empty, empty, segments, np.array([free]))
-        origin = bounds[:2]
-        cells = np.maximum(np.ceil((bounds[2:] - origin) / _CELL).astype(int) + 1, 1)
+        extent = bounds[2:] - bounds[:2]
+        cell = max(_CELL, float(np.sqrt(extent.prod() / _MOST_CELLS)))
+        origin = bounds[:2] - cell * _SHIFT
+        cells = np.ceil(extent / cell).astype(int) + 2
         # whatever a body centred in a cell, or the line from there to the middle of the cell, can touch
-        reach = max(float(np.hypot(*half)), _CELL)
-        start, items = hot.bucket_segments(segments, origin, _CELL, int(cells[0]), int(cells[1]), reach)
-        middles = origin + (np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), -1) + 0.5) * _CELL
+        reach = max(float(np.hypot(*half)), cell)
+        start, items = hot.bucket_segments(segments, origin, cell, int(cells[0]), int(cells[1]), reach)
+        middles = origin + (np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), -1) + 0.5) * cell
         shapely.prepare(self.allowed)
         inside = shapely.contains_xy(self.allowed, middles[..., 0].ravel(), middles[..., 1].ravel())
-        return (*half, bounds, origin, _CELL, int(cells[0]), int(cells[1]), start, items, segments, inside)
+        return (*half, bounds, origin, cell, int(cells[0]), int(cells[1]), start, items, segments, inside)
 
     def free(self, x: float, y: float, heading: float) -> bool:
         """Whether the body at the pose lies within bounds and drivable area and off every obstacle."""

@@ -136,7 +136,7 @@ def test_bad_option(capfd, scene, args, expected):
 def test_unknown_planner_and_checker_as_a_program(scene):
     for option, valid in (
         ("--planner", "rrt, prm"),
-        ("--checker", "exact, imhof, chebyshev, halfspace, sos, monte-carlo"),
+        ("--checker", ", ".join(rp.checkers())),
     ):
         done = program("plan", scene, option, "magic")
         assert (done.returncode, done.stdout) == (2, "")
@@ -150,7 +150,8 @@ def test_bad_command_lines(capfd, scene, tmp_path):
     assert "SCENARIO" in refused(capfd, "plan")
     assert "no such file" in refused(capfd, "assess", scene, tmp_path / "no.json")
     assert "expected a suffix out of .html" in refused(capfd, "render", scene, "--out", tmp_path / "a.bmp")
-    assert "no such directory" in refused(capfd, "render", scene, "--out", tmp_path / "no" / "a.png")
+    (tmp_path / "file").write_text("")
+    assert "cannot make the directory" in refused(capfd, "render", scene, "--out", tmp_path / "file" / "a.png")
     assert "cannot be a directory" in refused(capfd, "plan", scene, "--out", scene / "below")
     assert list(tmp_path.iterdir()) == []
 

@@ -370,8 +370,9 @@ def test_unknown_suffix_is_named(scenario, plan, tmp_path):
 
 
 def test_missing_directory_and_tiny_size_are_named(scenario, plan, tmp_path):
-    with pytest.raises(InputError, match="no such directory"):
-        render(scenario, plan, tmp_path / "nowhere" / "scene.png")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot make the directory"):
+        render(scenario, plan, tmp_path / "file" / "scene.png")
     with pytest.raises(InputError, match=r"size: expected at least \(200, 150\) pixels, got \(10, 10\)"):
         render(scenario, plan, tmp_path / "scene.png", size=(10, 10))
 

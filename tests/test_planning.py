@@ -108,9 +108,11 @@ def test_any_checker_by_name(planner, checker, bound):
 
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_sos_by_clarabel_plans_too(planner):
-    scene = overtake(agents=1, modes=1, gap=60.0)
+    # one ellipse instead of six discs: every solve is a millisecond
+    ego = rp.EgoEllipsoid.around(4.6, 1.9, 4.6, 1.9, relative_heading=0.0)
+    scene = dataclasses.replace(overtake(agents=1, modes=1, gap=80.0), ego=ego)
     backend = rp.checker("sos", order=4, solver="clarabel")
-    plan = rp.plan(scene, planner=planner, checker=backend, bound=0.9, time_limit=60.0, seed=0)
+    plan = rp.plan(scene, planner=planner, checker=backend, bound=0.95, time_limit=60.0, seed=0)
     assert plan.solved, plan.message
 
 
@@ -273,3 +275,13 @@ def test_roadmap_is_kept_saved_and_queried_again(scene, tmp_path):
     (tmp_path / "bad.npz").write_bytes(b"no")
     with pytest.raises(rp.InputError, match="not a roadmap"):
         rp.Roadmap.load(tmp_path / "bad.npz")
+
+
+def test_unknown_risk_is_never_no_risk(scene):
+    """Agents that cannot be sampled give no sampled total; with some of them, one that is marked incomplete."""
+    plan = rp.plan(scene, bound=0.1, time_limit=20.0, seed=1)
+    moments = [a.moments(4) for a in scene.agents]
+    nothing = rp.audit(plan, scene.with_agents(moments), checkers=["halfspace"], monte_carlo=1000).sampled
+    assert np.isnan(nothing.total) and np.isnan(nothing.interval).all() and not nothing.complete
+    some = rp.audit(plan, scene.with_agents([scene.agents[0], *moments[1:]]), checkers=[], monte_carlo=1000).sampled
+    assert not np.isnan(some.total) and not some.complete and np.isnan(some.per_agent[1])

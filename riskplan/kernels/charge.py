@@ -58,7 +58,7 @@ def row_risk(address, options, order, row, pieces, first, last, x, y, cos, sin, 
 @nb.njit(inline="always", error_model="numpy")
 def _direction_bound(m1, m2, s11, s12, s22):
     r2 = m1 * m1 + m2 * m2
-    if r2 <= 1.0:
+    if not r2 > 1.0:  # NaN too: what is not known is not far
         return 1.0
     spread = math.sqrt(2.0 * (m1 * m1 * s11 + 2.0 * m1 * m2 * s12 + m2 * m2 * s22) / r2)
     return 0.5 * math.erfc((math.sqrt(r2) - 1.0) / spread) if spread > 0.0 else 0.0
@@ -131,6 +131,8 @@ def charge(
     for s in range(poses.shape[0]):
         step = first_step + s
         x, y, heading = poses[s, 0], poses[s, 1], poses[s, 2]
+        if not math.isfinite(x + y + heading):
+            return np.nan
         cos, sin = math.cos(heading), math.sin(heading)
         touched = False
         for m in range(index.shape[0]):

@@ -7,7 +7,7 @@ import numpy as np
 
 from riskplan.kernels.car import ACCELERATION, DECELERATION, LATERAL, SPEED, wrap
 from riskplan.kernels.dubins import along, shortest
-from riskplan.kernels.world import body_free, goal_region
+from riskplan.kernels.world import goal_region, swept_free
 
 # accelerations, relative to the limits, with which an edge is tried
 _PACES = np.array([0.0, 0.3, -0.2, 0.8, -0.6])
@@ -123,13 +123,15 @@ def traverse(x, y, heading, speed, step, curve, steps, acceleration, dt, latest,
 
     out: (S, 4) x, y, heading, speed per step.
     """
+    px, py, ph = x, y, heading
     for i in range(min(steps, latest - step)):
         time = (i + 1) * dt
         s = speed * time + 0.5 * acceleration * time * time
+        qx, qy, qh = px, py, ph
         px, py, ph = along(x, y, heading, curve, s)
         v = max(speed + acceleration * time, 0.0)
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = px, py, ph, v
-        if not body_free(px, py, ph, *world):
+        if not swept_free(qx, qy, qh, px, py, ph, world):
             return 0, False
         if step + i + 1 >= earliest and goal_region(px, py, ph, v, *goal) >= 0:
             return i + 1, True

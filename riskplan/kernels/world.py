@@ -50,6 +50,19 @@ def body_free(
     return inside[index] != odd
 
 
+@nb.njit(cache=True, error_model="numpy")
+def swept_free(x0, y0, h0, x1, y1, h1, world):
+    """`body_free` at (x1, y1, h1) and between it and (x0, y0, h0), at most half a body length apart."""
+    distance = math.hypot(x1 - x0, y1 - y0)
+    count = int(distance / world[0]) + 1
+    turn = (h1 - h0 + math.pi) % (2.0 * math.pi) - math.pi
+    for i in range(1, count + 1):
+        share = i / count
+        if not body_free(x0 + share * (x1 - x0), y0 + share * (y1 - y0), h0 + share * turn, *world):
+            return False
+    return True
+
+
 @nb.njit(inline="always", error_model="numpy")
 def _clips(s, x, y, cos, sin, half_length, half_width):
     """Liang & Barsky (1984): does the segment meet the rectangle?"""

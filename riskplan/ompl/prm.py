@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -53,7 +54,10 @@ class Roadmap:
     @classmethod
     def of(cls, vertices: Array, radii: Array, longest: float) -> Roadmap:
         """Connect the vertices."""
-        vertices = as_array("vertices", vertices, ("V", 3))
+        if not len(vertices):
+            vertices = np.zeros((0, 3))  # nothing is free, or no time was left
+        else:
+            vertices = as_array("vertices", vertices, ("V", 3))
         radii = as_array("radii", radii, ("R",))
         ends, curves, lengths = connect(vertices, vertices, radii, 2.0, longest, _EDGES)
         return cls(vertices, ends, curves, lengths, radii, longest)
@@ -115,6 +119,8 @@ class Prm:
         """Search the roadmap; enlarge and search again until the goal is reached in budget, or time is up."""
         rng = np.random.default_rng(seed)
         size, roadmap, sampler = self.size, self.roadmap, None
+        if roadmap is not None and roadmap.radii.min() < 1.0 / problem.scenario.vehicle.max_curvature - 1e-9:
+            roadmap = Roadmap.of(roadmap.vertices, *_edge_scale(problem.scenario))  # made for a nimbler car
         best: SearchResult | None = None
         counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
         lowest = np.inf
@@ -122,7 +128,7 @@ class Prm:
             began = perf_counter()
             if roadmap is None:
                 sampler = sampler or _Sampler(problem.scenario, problem.world, seed)
-                roadmap = Roadmap.of(sampler.grow(size), *_edge_scale(problem.scenario))
+                roadmap = Roadmap.of(sampler.grow(size, budget.expired), *_edge_scale(problem.scenario))
             built = perf_counter() - began
             query = _Query(problem, budget, roadmap, rng)
             result = query.run()
@@ -175,13 +181,13 @@ class _Sampler:
         self._prm.setup()
         self._si = si
 
-    def grow(self, size: int) -> Array:
-        """Sample until there are `size` vertices (fewer if next to nothing is free); (V, 3)."""
+    def grow(self, size: int, stop: Callable[[], bool] = lambda: False) -> Array:
+        """Sample until there are `size` vertices (fewer if next to nothing is free, or told to stop); (V, 3)."""
         prm, tries = self._prm, [0]
 
         def enough() -> bool:
             tries[0] += 1
-            return bool(prm.milestoneCount() >= size or tries[0] > 50 * size)
+            return bool(prm.milestoneCount() >= size or tries[0] > 50 * size or (tries[0] > 50 and stop()))
 
         prm.growRoadmapPtc(ob.PlannerTerminationCondition(enough))
         data = ob.PlannerData(self._si)

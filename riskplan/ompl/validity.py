@@ -13,15 +13,16 @@ from checkers.validate import Array, as_scalar
 from riskplan.evaluator import RiskEvaluator
 from riskplan.scene import Agent
 
+_STATIC_SPACING = 0.5  # [m]
 PoseTime = Callable[[Any], tuple[float, float, float, float]]
 
 
 class RiskStateValidityChecker(ob.StateValidityChecker):
-    """A state is valid iff its risk is within a bound.
+    """A state is valid iff its risk is within every bound given.
 
-    With `step_bound`, the risk is the marginal one of the state's pose at the state's time, summed over agents. With
-    `total`, it is what that function returns for the state: the planner's accumulated total, held against
-    `total_bound()`. Without either every state is valid here. `static` is asked first.
+    With `step_bound`, the risk is the marginal one of the state's pose at the state's time, summed over agents; where
+    it is not known (a time outside a prediction, a pose that is not finite) the state is not valid. With `total`, it is
+    what that function returns for the state: the planner's accumulated total, held against `total_bound()`.
 
     Args:
         si: SpaceInformation; only its state space is kept (capturing `si` in a callback leaks it).
@@ -63,7 +64,8 @@ class RiskStateValidityChecker(ob.StateValidityChecker):
     def isValid(self, state: Any) -> bool:  # noqa: N802  OMPL's name
         """OMPL's question; a risk that is not known (a time outside the predictions) is not valid."""
         if self._total is not None and self._total_bound is not None:
-            return bool(self._total(state) <= self._total_bound())
+            if not self._total(state) <= self._total_bound():
+                return False
         if self._pose_time is None:
             return True
         x, y, heading, time = self._pose_time(state)
@@ -80,7 +82,7 @@ class RiskMotionValidator(ob.MotionValidator):
     Between the ends the state space's own interpolation is followed. `charge` is the same evaluator for planners that
     account for the total risk instead.
 
-    Args: as for `RiskStateValidityChecker`; `static` is asked at the same steps.
+    Args: as for `RiskStateValidityChecker`; `static` is asked every half metre.
     """
 
     def __init__(
@@ -110,15 +112,25 @@ class RiskMotionValidator(ob.MotionValidator):
             return False
         grid = self.evaluator.times
         inner = grid[(grid > start + 1e-9) & (grid < end - 1e-9)]
+        if self._static is not None and not self._static_free(first, second):
+            return False
         for time in [*inner, end]:
             self._space.interpolate(first, second, float((time - start) / (end - start)), self._scratch)
             x, y, heading, _ = self._pose_time(self._scratch)
-            if self._static is not None and not self._static(x, y, heading):
-                return False
             if self.step_bound is not None and self.evaluator.agents:
                 risk = self.evaluator.at_time(np.array([x, y, heading]), float(time))
                 if not risk <= self.step_bound:
                     return False
+        return True
+
+    def _static_free(self, first: Any, second: Any) -> bool:
+        """The static world is asked every half metre, whatever the times."""
+        a, b = self._pose_time(first), self._pose_time(second)
+        count = int(np.hypot(b[0] - a[0], b[1] - a[1]) / _STATIC_SPACING) + 1
+        for i in range(1, count + 1):
+            self._space.interpolate(first, second, i / count, self._scratch)
+            if self._static is not None and not self._static(*self._pose_time(self._scratch)[:3]):
+                return False
         return True
 
     def charge(self, poses: Array, first_step: int, before: Array, limit: float, after: Array) -> float:
@@ -129,13 +141,13 @@ class RiskMotionValidator(ob.MotionValidator):
 def pose_time_of(space: Any) -> PoseTime:
     """How to read (x, y, heading, time) from a state of a known kind of space.
 
-    Known are: RealVector with x, y, heading, time in that order; compounds and SpaceTime of (SE2 or Dubins or
+    Known are: RealVector(4) with x, y, heading, time in that order; compounds and SpaceTime of (SE2 or Dubins or
     Reeds–Shepp or RealVector x, y[, heading]) and time as a TimeStateSpace or RealVector(1).
 
     Raises:
         InputError: for another space; pass `pose_time` then.
     """
-    if isinstance(space, ob.RealVectorStateSpace) and space.getDimension() >= 4:
+    if isinstance(space, ob.RealVectorStateSpace) and space.getDimension() == 4:
         return lambda s: (s[0], s[1], s[2], s[3])
     if isinstance(space, ob.CompoundStateSpace) and space.getSubspaceCount() == 2:
         place, time = space.getSubspace(0), space.getSubspace(1)

@@ -40,15 +40,17 @@ def render(
         The path written.
 
     Raises:
-        InputError: on an unknown suffix, a directory that is not there, or a size below 200 by 150.
+        InputError: on an unknown suffix, a directory that cannot be made, or a size below 200 by 150.
     """
     target = Path(path)
     suffix = target.suffix.lower()
     if suffix not in FORMATS:
         valid = ", ".join(FORMATS)
         raise InputError(f"{target}: expected a suffix out of {valid}; got {suffix or 'none'!r}")
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: no such directory {target.parent}")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{target}: cannot make the directory: {error.strerror}") from None
     if size is not None and not (size[0] >= 200 and size[1] >= 150):
         raise InputError(f"size: expected at least (200, 150) pixels, got {size}")
     drawers: dict[str, Callable[[Picture], bytes]] = {
