@@ -238,13 +238,26 @@ def _polygon(name: str, value: Any) -> Array:
 
 def _simple_polygon(name: str, value: Any) -> Array:
     """A polygon with an area and without crossing edges: of others "inside" is a matter of taste."""
-    import shapely  # noqa: PLC0415  costs import time
-
     polygon = _polygon(name, value)
-    shape = shapely.Polygon(polygon)
-    if not shape.is_valid or shape.area <= 0.0:
-        raise InputError(f"{name}: expected a simple polygon with an area, got {shapely.is_valid_reason(shape)}")
+    start, end = polygon, np.roll(polygon, -1, axis=0)
+    centred = polygon - polygon.mean(axis=0)
+    area = 0.5 * np.sum(_cross(centred, np.roll(centred, -1, axis=0)))
+    if not abs(area) > 1e-12 * np.ptp(polygon, axis=0).max() ** 2:
+        raise InputError(f"{name}: expected a simple polygon with an area, got one of no area")
+    side = end - start
+    # proper crossings of edge i with edge j: each edge's ends lie strictly on different sides of the other
+    first = _cross(side[:, None], start[None] - start[:, None])
+    second = _cross(side[:, None], end[None] - start[:, None])
+    apart = first * second < 0
+    crossing = np.argwhere(apart & apart.T)
+    if len(crossing):
+        i, j = (int(k) for k in crossing[0])
+        raise InputError(f"{name}: expected a simple polygon with an area, got edges {i} and {j} that cross")
     return polygon
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _line(name: str, value: Any) -> Array:

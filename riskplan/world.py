@@ -40,7 +40,7 @@ class StaticWorld:
             union = shapely.union_all([shapely.Polygon(p).buffer(1e-2) for p in s.drivable]).buffer(-1e-2)
             area = union.intersection(box)
         if s.obstacles:
-            area = area.difference(shapely.union_all([shapely.Polygon(p) for p in s.obstacles]))
+            area = area.difference(shapely.union_all([shapely.Polygon(p).buffer(0) for p in s.obstacles]))
         # touching shapes leave points and lines behind, which have no inside
         return shapely.union_all([part for part in shapely.get_parts(area) if part.geom_type == "Polygon"])
 

@@ -249,8 +249,10 @@ def predictions(draw):
 def scenarios(draw):
     x, y = draw(finite), draw(finite)
     low = draw(st.floats(0, 5))
+    points = np.random.default_rng(draw(st.integers(0, 99))).normal(size=(draw(st.integers(3, 6)), 2))
+    around = points - points.mean(axis=0)
     region = rp.GoalRegion(
-        np.random.default_rng(draw(st.integers(0, 99))).normal(size=(draw(st.integers(3, 6)), 2)),
+        points[np.argsort(np.arctan2(around[:, 1], around[:, 0]))],  # by angle: edges do not cross
         heading=draw(st.none() | finite),
         heading_tolerance=draw(positive),
         speed=(low, draw(st.sampled_from([np.inf, low + 0.1]))),
@@ -268,7 +270,7 @@ def scenarios(draw):
         vehicle=rp.KinematicCar(*draw(st.tuples(*[positive] * 7))),
         time_step=0.1,
         horizon=0.1,
-        obstacles=draw(lines),
+        obstacles=draw(st.lists(st.just([[0.1, 1 / 3], [1e-9, -0.0], [2, 1.7]]), max_size=2)),
         drivable=draw(lines),
         lanes=draw(lines),
         name=draw(st.text(max_size=12)),
