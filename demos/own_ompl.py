@@ -1,0 +1,40 @@
+"""Risk as a validity check in an OMPL set-up of your own: og.RRT over x, y, heading, time; risk bounded per step."""
+
+from ompl import base as ob
+from ompl import geometric as og
+
+import riskplan as rp
+
+
+def main() -> None:
+    """Everything inside a function: OMPL's bindings complain at exit about objects kept as module globals."""
+    scenario = rp.load_scenario("riskplan/data/overtake.yaml")
+    space = ob.RealVectorStateSpace(4)  # x, y [m], heading [rad], time [s]
+    bounds = ob.RealVectorBounds(4)
+    x0, y0, x1, y1 = scenario.bounds
+    for i, (low, high) in enumerate([(x0, x1), (y0, y1), (-0.05, 0.05), (0.0, 6.0)]):
+        bounds.setLow(i, low)
+        bounds.setHigh(i, high)
+    space.setBounds(bounds)
+    si = ob.SpaceInformation(space)
+    checks = (si, scenario.agents, scenario.ego, rp.checker("exact"))
+    si.setStateValidityChecker(rp.ompl.RiskStateValidityChecker(*checks, step_bound=0.02, static=scenario.world.free))
+    si.setMotionValidator(rp.ompl.RiskMotionValidator(*checks, step_bound=0.02, static=scenario.world.free))
+    si.setup()
+    problem = ob.ProblemDefinition(si)
+    start, goal = si.allocState(), si.allocState()
+    start[0], start[1], start[2], start[3] = scenario.start.x, scenario.start.y, 0.0, 0.0
+    goal[0], goal[1], goal[2], goal[3] = scenario.start.x + 85.0, scenario.start.y, 0.0, 6.0
+    problem.setStartAndGoalStates(start, goal, 8.0)
+    planner = og.RRT(si)
+    planner.setRange(12.0)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    planner.solve(ob.timedPlannerTerminationCondition(20.0))
+    print("exact solution:", problem.hasExactSolution())
+    for state in problem.getSolutionPath().getStates():
+        print(f"t = {state[3]:.2f} s: x = {state[0]:.1f} m, y = {state[1]:.2f} m")
+
+
+if __name__ == "__main__":
+    main()
