@@ -61,6 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", required=True, help="directory with CommonRoad files, searched recursively")
     parser.add_argument("--files", type=int, default=40, help="how many files, spread evenly over the sorted list")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--tasks", default="horizon,problem", help="which tasks, comma-separated")
     parser.add_argument("--long", type=float, default=60.0, help="time limit of the reference run [s]; 0 for none")
     parser.add_argument("--long-files", type=int, default=10, help="how many tasks get the reference run")
     parser.add_argument("--samples", type=int, default=20_000, help="Monte Carlo samples per plan")
@@ -73,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
     tasks = list(progress([t for f in chosen for t in tasks_of(f, options.seed)], "tasks"))
     warm_up(tasks)
     print(f"{len(chosen)} of {len(files)} files, seed {options.seed}; ego: six discs along the lane; checker exact")
-    for kind in ("horizon", "problem"):
+    for kind in options.tasks.split(","):
         report(kind, [t for t in tasks if t.kind == kind], options)
     return 0
 

@@ -36,7 +36,7 @@ _PUBLIC = {
     **dict.fromkeys(("load_plan", "load_scenario", "save_plan", "save_scenario"), "riskplan.io"),
     "audit": "riskplan.report",
     "render": "riskplan.pictures",
-    "Roadmap": "riskplan.ompl.prm",
+    "Roadmap": "riskplan.ompl.roadmap",
     "Prm": "riskplan.ompl.prm",
     "Rrt": "riskplan.ompl.rrt",
 }
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from riskplan.io import save_plan as save_plan
     from riskplan.io import save_scenario as save_scenario
     from riskplan.ompl.prm import Prm as Prm
-    from riskplan.ompl.prm import Roadmap as Roadmap
+    from riskplan.ompl.roadmap import Roadmap as Roadmap
     from riskplan.ompl.rrt import Rrt as Rrt
     from riskplan.pictures import render as render
     from riskplan.planning import PlannerInfo as PlannerInfo

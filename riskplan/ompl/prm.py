@@ -3,93 +3,23 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 import shapely
-from ompl import base as ob
-from ompl import geometric as og
-from ompl import util as ou
 
-from checkers import InputError, checker
-from checkers.validate import Array, as_array
+from checkers import InputError
+from checkers.validate import Array
 from riskplan.kernels.car import pack_limits
 from riskplan.kernels.roadmap import ARRIVALS, connect, expand, traverse
-from riskplan.ompl.sampling import LaneSampler
-from riskplan.ompl.validity import RiskStateValidityChecker
-from riskplan.scene import Scenario
+from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler, edge_scale
 from riskplan.search import Budget, Problem, SearchResult
-from riskplan.world import StaticWorld, lane_segments
 
-_EDGES = 16  # edges out of a vertex
 _SAME_SPEED = 1.0  # labels at one vertex and step compete within this [m/s]
 _KEPT = 4  # labels kept per vertex, step and speed
 _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
-
-
-@dataclass(frozen=True, eq=False)
-class Roadmap:
-    """Poses and directed Dubins edges of a static world; agents do not enter, so it serves every prediction.
-
-    Attributes:
-        vertices: (V, 3) x, y, heading.
-        ends: (E, 2) int source and target of the edges.
-        curves: (E, 6) segment lengths [m] and curvatures [1/m].
-        lengths: (E,) [m].
-        radii: turning radii tried for the edges, widest first [m].
-        longest: longest edge [m].
-    """
-
-    vertices: Array
-    ends: np.ndarray
-    curves: Array
-    lengths: Array
-    radii: Array
-    longest: float
-
-    @classmethod
-    def of(cls, vertices: Array, radii: Array, longest: float) -> Roadmap:
-        """Connect the vertices."""
-        if not len(vertices):
-            vertices = np.zeros((0, 3))  # nothing is free, or no time was left
-        else:
-            vertices = as_array("vertices", vertices, ("V", 3))
-        radii = as_array("radii", radii, ("R",))
-        ends, curves, lengths = connect(vertices, vertices, radii, 2.0, longest, _EDGES)
-        return cls(vertices, ends, curves, lengths, radii, longest)
-
-    @classmethod
-    def build(cls, scenario: Scenario, size: int = 1000, seed: int = 0) -> Roadmap:
-        """Sample `size` vertices in the scenario's static world and connect them."""
-        sampler = _Sampler(scenario, scenario.world, seed)
-        return cls.of(sampler.grow(size), *_edge_scale(scenario))
-
-    def save(self, path: str | Path) -> None:
-        """Write to an `.npz` (no pickle); edges follow from the vertices and are made anew on loading."""
-        with open(path, "wb") as file:
-            np.savez(file, allow_pickle=False, vertices=self.vertices, radii=self.radii, longest=self.longest)
-
-    @classmethod
-    def load(cls, path: str | Path) -> Roadmap:
-        """Read what `save` wrote.
-
-        Raises:
-            InputError: if the file is not a roadmap.
-        """
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                vertices, radii, longest = data["vertices"], data["radii"], float(data["longest"])
-        except FileNotFoundError:
-            raise InputError(f"{path}: no such file") from None
-        except (ValueError, OSError, EOFError, KeyError) as error:
-            raise InputError(f"{path}: not a roadmap: {error}") from None
-        if not (np.ndim(radii) == 1 and (radii > 0).all()):
-            raise InputError(f"{path}: radii: expected positive numbers, got {radii!r}")
-        return cls.of(vertices, radii, longest)
 
 
 @dataclass(frozen=True)
@@ -120,15 +50,15 @@ class Prm:
         rng = np.random.default_rng(seed)
         size, roadmap, sampler = self.size, self.roadmap, None
         if roadmap is not None and roadmap.radii.min() < 1.0 / problem.scenario.vehicle.max_curvature - 1e-9:
-            roadmap = Roadmap.of(roadmap.vertices, *_edge_scale(problem.scenario))  # made for a nimbler car
+            roadmap = Roadmap.of(roadmap.vertices, *edge_scale(problem.scenario))  # made for a nimbler car
         best: SearchResult | None = None
         counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
         lowest = np.inf
         while True:
             began = perf_counter()
             if roadmap is None:
-                sampler = sampler or _Sampler(problem.scenario, problem.world, seed)
-                roadmap = Roadmap.of(sampler.grow(size, budget.expired), *_edge_scale(problem.scenario))
+                sampler = sampler or Sampler(problem.scenario, problem.world, seed)
+                roadmap = Roadmap.of(sampler.grow(size, budget.expired), *edge_scale(problem.scenario))
             built = perf_counter() - began
             query = _Query(problem, budget, roadmap, rng)
             result = query.run()
@@ -147,68 +77,6 @@ class Prm:
         return SearchResult(best.states, lowest, counters, best.edges)
 
 
-class _Sampler:
-    """Vertices from OMPL's PRM, whose own edges are switched off."""
-
-    def __init__(self, scenario: Scenario, world: StaticWorld, seed: int) -> None:
-        ou.setLogLevel(ou.LOG_NONE)
-        ou.RNG.setSeed(seed + 1)
-        s = scenario
-        space = ob.SE2StateSpace()
-        bounds = ob.RealVectorBounds(2)
-        for i in range(2):
-            bounds.setLow(i, float(s.bounds[i]))
-            bounds.setHigh(i, float(s.bounds[i + 2]))
-        space.setBounds(bounds)
-        si = ob.SpaceInformation(space)
-        si.setStateValidityChecker(
-            RiskStateValidityChecker(
-                si,
-                (),
-                s.ego,
-                checker("exact"),
-                static=world.free,
-                pose_time=lambda state: (state.getX(), state.getY(), state.getYaw(), 0.0),
-            )
-        )
-        si.setMotionValidator(_AnyMotion(si))
-        lanes, box, rng = lane_segments(s), np.array(s.bounds), np.random.default_rng(seed)
-        si.setValidStateSamplerAllocator(lambda info: LaneSampler(info, lanes, box, rng, world.free))
-        si.setup()
-        self._pdef = ob.ProblemDefinition(si)  # PRM segfaults without one
-        self._prm = og.PRM(si)
-        self._prm.setProblemDefinition(self._pdef)
-        self._prm.setup()
-        self._si = si
-
-    def grow(self, size: int, stop: Callable[[], bool] = lambda: False) -> Array:
-        """Sample until there are `size` vertices (fewer if next to nothing is free, or told to stop); (V, 3)."""
-        prm, tries = self._prm, [0]
-
-        def enough() -> bool:
-            tries[0] += 1
-            return bool(prm.milestoneCount() >= size or tries[0] > 50 * size or (tries[0] > 50 and stop()))
-
-        prm.growRoadmapPtc(ob.PlannerTerminationCondition(enough))
-        data = ob.PlannerData(self._si)
-        prm.getPlannerData(data)
-        out = np.empty((data.numVertices(), 3))
-        for i in range(len(out)):
-            state = data.getVertex(i).getState()
-            out[i] = state.getX(), state.getY(), state.getYaw()
-        return out
-
-
-class _AnyMotion(ob.MotionValidator):
-    """Lets OMPL's PRM join what it likes: its undirected edges are not used, but only joined vertices are exported."""
-
-    def __init__(self, si: Any) -> None:
-        super().__init__(si)
-
-    def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802, ARG002  OMPL's name
-        return True
-
-
 class _Query:
     """One label search over a roadmap with start and goal attached."""
 
@@ -222,7 +90,7 @@ class _Query:
         self.source = len(self.vertices) - 1
         args = (roadmap.radii, 2.0, roadmap.longest)
         to_goal = connect(roadmap.vertices, goals, *args, 8)
-        begin = connect(start, self.vertices[:-1], *args, 10 * _EDGES)
+        begin = connect(start, self.vertices[:-1], *args, 10 * EDGES)
         shift = len(roadmap.vertices)
         self.goals = (shift, shift + len(goals))
         ends = np.concatenate([roadmap.ends, to_goal[0] + [0, shift], begin[0] + [self.source, 0]])
@@ -372,13 +240,3 @@ def _free_goals(problem: Problem, rng: np.random.Generator, count: int) -> Array
         if problem.goal.holds(x, y, heading, speed) and problem.world.free(x, y, heading)
     ]
     return np.array(poses[:count]).reshape(-1, 3)
-
-
-def _edge_scale(scenario: Scenario) -> tuple[Array, float]:
-    """(turning radii, longest edge) that suit the speeds to be expected, and slower ones round tighter corners."""
-    v = scenario.vehicle
-    pace = min(v.max_speed, max(scenario.start.speed + 2.0, 5.0))
-    tightest = 1.0 / v.max_curvature
-    widest = max(tightest, pace * pace / v.max_lateral_acceleration)
-    radii = [widest / 2**k for k in range(4) if widest / 2**k > tightest]
-    return np.array([*radii, tightest]), max(2.0 * pace, 10.0)

@@ -1,0 +1,156 @@
+"""Roadmaps: vertices sampled by OMPL's PRM in a static world, joined by directed Dubins edges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from checkers import InputError, checker
+from checkers.validate import Array, as_array
+from riskplan.kernels.roadmap import connect
+from riskplan.ompl.sampling import LaneSampler
+from riskplan.ompl.validity import RiskStateValidityChecker
+from riskplan.scene import Scenario
+from riskplan.world import StaticWorld, lane_segments
+
+EDGES = 16  # edges out of a vertex
+
+
+@dataclass(frozen=True, eq=False)
+class Roadmap:
+    """Poses and directed Dubins edges of a static world; agents do not enter, so it serves every prediction.
+
+    Attributes:
+        vertices: (V, 3) x, y, heading.
+        ends: (E, 2) int source and target of the edges.
+        curves: (E, 6) segment lengths [m] and curvatures [1/m].
+        lengths: (E,) [m].
+        radii: turning radii tried for the edges, widest first [m].
+        longest: longest edge [m].
+    """
+
+    vertices: Array
+    ends: np.ndarray
+    curves: Array
+    lengths: Array
+    radii: Array
+    longest: float
+
+    @classmethod
+    def of(cls, vertices: Array, radii: Array, longest: float) -> Roadmap:
+        """Connect the vertices."""
+        if not len(vertices):
+            vertices = np.zeros((0, 3))  # nothing is free, or no time was left
+        else:
+            vertices = as_array("vertices", vertices, ("V", 3))
+        radii = as_array("radii", radii, ("R",))
+        ends, curves, lengths = connect(vertices, vertices, radii, 2.0, longest, EDGES)
+        return cls(vertices, ends, curves, lengths, radii, longest)
+
+    @classmethod
+    def build(cls, scenario: Scenario, size: int = 1000, seed: int = 0) -> Roadmap:
+        """Sample `size` vertices in the scenario's static world and connect them."""
+        sampler = Sampler(scenario, scenario.world, seed)
+        return cls.of(sampler.grow(size), *edge_scale(scenario))
+
+    def save(self, path: str | Path) -> None:
+        """Write to an `.npz` (no pickle); edges follow from the vertices and are made anew on loading."""
+        with open(path, "wb") as file:
+            np.savez(file, allow_pickle=False, vertices=self.vertices, radii=self.radii, longest=self.longest)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Roadmap:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: if the file is not a roadmap.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                vertices, radii, longest = data["vertices"], data["radii"], float(data["longest"])
+        except FileNotFoundError:
+            raise InputError(f"{path}: no such file") from None
+        except (ValueError, OSError, EOFError, KeyError) as error:
+            raise InputError(f"{path}: not a roadmap: {error}") from None
+        if not (np.ndim(radii) == 1 and (radii > 0).all()):
+            raise InputError(f"{path}: radii: expected positive numbers, got {radii!r}")
+        return cls.of(vertices, radii, longest)
+
+
+class Sampler:
+    """Vertices from OMPL's PRM, whose own edges are switched off."""
+
+    def __init__(self, scenario: Scenario, world: StaticWorld, seed: int) -> None:
+        ou.setLogLevel(ou.LOG_NONE)
+        ou.RNG.setSeed(seed + 1)
+        s = scenario
+        space = ob.SE2StateSpace()
+        bounds = ob.RealVectorBounds(2)
+        for i in range(2):
+            bounds.setLow(i, float(s.bounds[i]))
+            bounds.setHigh(i, float(s.bounds[i + 2]))
+        space.setBounds(bounds)
+        si = ob.SpaceInformation(space)
+        si.setStateValidityChecker(
+            RiskStateValidityChecker(
+                si,
+                (),
+                s.ego,
+                checker("exact"),
+                static=world.free,
+                pose_time=lambda state: (state.getX(), state.getY(), state.getYaw(), 0.0),
+            )
+        )
+        si.setMotionValidator(_AnyMotion(si))
+        lanes, box, rng = lane_segments(s), np.array(s.bounds), np.random.default_rng(seed)
+        si.setValidStateSamplerAllocator(lambda info: LaneSampler(info, lanes, box, rng, world.free))
+        si.setup()
+        self._pdef = ob.ProblemDefinition(si)  # PRM segfaults without one
+        self._prm = og.PRM(si)
+        self._prm.setProblemDefinition(self._pdef)
+        self._prm.setup()
+        self._si = si
+
+    def grow(self, size: int, stop: Callable[[], bool] = lambda: False) -> Array:
+        """Sample until there are `size` vertices (fewer if next to nothing is free, or told to stop); (V, 3)."""
+        prm, tries = self._prm, [0]
+
+        def enough() -> bool:
+            tries[0] += 1
+            return bool(prm.milestoneCount() >= size or tries[0] > 50 * size or (tries[0] > 50 and stop()))
+
+        prm.growRoadmapPtc(ob.PlannerTerminationCondition(enough))
+        data = ob.PlannerData(self._si)
+        prm.getPlannerData(data)
+        out = np.empty((data.numVertices(), 3))
+        for i in range(len(out)):
+            state = data.getVertex(i).getState()
+            out[i] = state.getX(), state.getY(), state.getYaw()
+        return out
+
+
+class _AnyMotion(ob.MotionValidator):
+    """Lets OMPL's PRM join what it likes: its undirected edges are not used, but only joined vertices are exported."""
+
+    def __init__(self, si: Any) -> None:
+        super().__init__(si)
+
+    def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802, ARG002  OMPL's name
+        return True
+
+
+def edge_scale(scenario: Scenario) -> tuple[Array, float]:
+    """(turning radii, longest edge) that suit the speeds to be expected, and slower ones round tighter corners."""
+    v = scenario.vehicle
+    pace = min(v.max_speed, max(scenario.start.speed + 2.0, 5.0))
+    tightest = 1.0 / v.max_curvature
+    widest = max(tightest, pace * pace / v.max_lateral_acceleration)
+    radii = [widest / 2**k for k in range(4) if widest / 2**k > tightest]
+    return np.array([*radii, tightest]), max(2.0 * pace, 10.0)
