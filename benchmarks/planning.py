@@ -72,6 +72,9 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     chosen = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, options.files).astype(int))]
     tasks = list(progress([t for f in chosen for t in tasks_of(f, options.seed)], "tasks"))
+    if not tasks:
+        print(f"benchmarks.planning: no tasks in the {len(chosen)} files chosen", file=sys.stderr)
+        return 2
     warm_up(tasks)
     print(f"{len(chosen)} of {len(files)} files, seed {options.seed}; ego: six discs along the lane; checker exact")
     for kind in options.tasks.split(","):
@@ -112,6 +115,9 @@ def warm_up(tasks: list[Task]) -> None:
 
 def report(kind: str, tasks: list[Task], options: argparse.Namespace) -> None:
     """Run one kind of task and print its tables."""
+    if not tasks:
+        print(f"\n### `{kind}`: no tasks in these files")
+        return
     drivers = {t.name: stated(t.scenario, t.driver) for t in tasks if t.driver is not None}
     print(
         f"\n### `{kind}`: {len(tasks)} tasks, median {np.median([len(t.scenario.agents) for t in tasks]):.0f} agents\n"
@@ -260,7 +266,8 @@ def print_least_risk(outcomes: list[Outcome], drivers: dict[str, float]) -> None
             (float(o.plan.risk.total) if o.plan.risk else 0.0, drivers[o.task.name]) for o in rows if o.plan.solved
         ]
         better = sum(plan <= driver for plan, driver in solved)
-        plans, own = np.median([p for p, _ in solved]), np.median(list(drivers.values()))
+        plans = np.median([p for p, _ in solved]) if solved else np.nan
+        own = np.median(list(drivers.values()))
         print(
             f"| {planner} | {len(solved)}/{len(rows)} | {better / len(rows):.0%} of all tasks "
             f"| {plans:.3g} | {own:.3g} |"
