@@ -10,7 +10,7 @@ DATA   ?= $(RISKPLAN_DATA)
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet -e ".[predictor,commonroad,dev]"
+	$(BIN)/python -m pip install --quiet -e ".[predictor,commonroad,data,simulator,video,cluster,completion,docs,dev]"
 	touch $(STAMP)
 
 # numba's cache looks at the file of a kernel only, not at the kernels it calls: drop it when any of them is newer
@@ -23,7 +23,7 @@ demo: $(VENV)/.kernels
 	$(BIN)/riskplan demo --out out/demo
 
 test: $(VENV)/.kernels
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
 
 slow: $(VENV)/.kernels
 	$(BIN)/python -m pytest -m slow

@@ -7,7 +7,10 @@ import sys
 from pathlib import Path
 
 DONE_BEFORE = ("make demo", "make test", "make check", "make slow")  # .ci/run has run these, or they are too long
-QUICK = {"make bench": 'make bench BENCH_ARGS="--files 3 --tasks horizon --long 0 --samples 2000"'}
+QUICK = {
+    "make bench": 'make bench BENCH_ARGS="--files 3 --tasks horizon --long 0 --samples 2000"',
+    "python -m benchmarks.propagation": "python -m benchmarks.propagation --scenarios 2 --samples 20000 --repeats 20",
+}
 
 
 def main() -> int:

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import TypeVar
 
 import numpy as np
@@ -27,7 +27,7 @@ from riskplan.evaluator import RiskEvaluator
 from riskplan.io.commonroad import CommonRoadScene, load_commonroad
 from riskplan.report import sample_risk
 
-BOUNDS = (0.1, 0.01, 0.001)
+BOUNDS = (0.1, 0.01, 0.001, 1e-5)
 PLANNERS = ("rrt", "prm")
 T = TypeVar("T")
 
@@ -62,10 +62,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--files", type=int, default=40, help="how many files, spread evenly over the sorted list")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tasks", default="horizon,problem", help="which tasks, comma-separated")
+    parser.add_argument("--planners", default=",".join(PLANNERS), help="which, comma-separated")
+    parser.add_argument("--bounds", default=",".join(map(str, BOUNDS)), help="on the total, comma-separated")
+    parser.add_argument("--limit", type=float, default=5.0, help="time limit of a search [s]")
+    parser.add_argument("--dependence", default="independent", help="independent, persistent or boole")
+    parser.add_argument("--moments", action="store_true", help="agents by moments to order 8 only, and projected-sos 8")
+    parser.add_argument("--cpu", action="store_true", help="processor time instead of wall clock, for a busy machine")
     parser.add_argument("--long", type=float, default=60.0, help="time limit of the reference run [s]; 0 for none")
     parser.add_argument("--long-files", type=int, default=10, help="how many tasks get the reference run")
     parser.add_argument("--samples", type=int, default=20_000, help="Monte Carlo samples per plan")
     options = parser.parse_args(arguments)
+    options.planners = options.planners.split(",")
+    options.bounds = [float(b) for b in options.bounds.split(",")]
     files = sorted(Path(options.data).rglob("*.xml"))
     if not files:
         print(f"benchmarks.planning: no .xml files under {options.data}", file=sys.stderr)
@@ -75,8 +83,10 @@ def main(arguments: list[str] | None = None) -> int:
     if not tasks:
         print(f"benchmarks.planning: no tasks in the {len(chosen)} files chosen", file=sys.stderr)
         return 2
-    warm_up(tasks)
-    print(f"{len(chosen)} of {len(files)} files, seed {options.seed}; ego: six discs along the lane; checker exact")
+    warm_up(tasks, options)
+    checker = "projected-sos of order 8" if options.moments else "exact"
+    how = f"checker {checker}, dependence {options.dependence}, {'processor time' if options.cpu else 'wall clock'}"
+    print(f"{len(chosen)} of {len(files)} files, seed {options.seed}; ego: six discs along the lane; {how}")
     for kind in options.tasks.split(","):
         report(kind, [t for t in tasks if t.kind == kind], options)
     return 0
@@ -107,10 +117,10 @@ def recorded(scene: CommonRoadScene, scenario: rp.Scenario) -> tuple[Track, ...]
     )
 
 
-def warm_up(tasks: list[Task]) -> None:
+def warm_up(tasks: list[Task], options: argparse.Namespace) -> None:
     """Load the compiled kernels."""
-    for planner in PLANNERS:
-        rp.plan(tasks[0].scenario, planner=planner, time_limit=0.2)
+    for planner in options.planners:
+        run(tasks[0], planner, 0.01, 0.2, options)
 
 
 def report(kind: str, tasks: list[Task], options: argparse.Namespace) -> None:
@@ -124,22 +134,32 @@ def report(kind: str, tasks: list[Task], options: argparse.Namespace) -> None:
     )
     if drivers:
         print_drivers(drivers)
-    outcomes = [run(t, p, b, 5.0) for t in progress(tasks, kind) for p in PLANNERS for b in BOUNDS]
-    empty = {(t.name, p): run(without_agents(t), p, 0.1, 5.0) for t in progress(tasks, "no agents") for p in PLANNERS}
-    print_solved(outcomes, empty)
+    every = [(t, p) for t in progress(tasks, kind) for p in options.planners]
+    outcomes = [run(t, p, b, options.limit, options) for t, p in every for b in options.bounds]
+    empty = {(t.name, p): run(without_agents(t), p, 0.1, options.limit, options) for t, p in every}
+    print_solved(outcomes, empty, options)
     print_unsolved(outcomes)
     print_truth(outcomes, options)
     if kind == "horizon":
-        print_least_risk([run(t, p, None, 1.0) for t in progress(tasks, "least risk") for p in PLANNERS], drivers)
-        if options.long > 0:
-            print_reference(outcomes, tasks[:: max(1, len(tasks) // options.long_files)], options.long)
+        print_least_risk([run(t, p, None, 1.0, options) for t, p in every], drivers)
+        if options.long > 0 and options.long_files > 0:
+            print_reference(outcomes, tasks[:: max(1, len(tasks) // options.long_files)], options)
 
 
-def run(task: Task, planner: str, bound: float | None, limit: float) -> Outcome:
+def run(task: Task, planner: str, bound: float | None, limit: float, options: argparse.Namespace) -> Outcome:
     """One plan, timed."""
-    began = perf_counter()
-    plan = rp.plan(task.scenario, planner=planner, bound=bound, time_limit=limit, seed=task.seed)
-    return Outcome(task, planner, bound, plan, perf_counter() - began)
+    scenario, checker = task.scenario, rp.checker("exact")
+    if options.moments:
+        scenario, checker = (
+            scenario.with_agents([a.moments(8) for a in scenario.agents]),
+            rp.checker("projected-sos", order=8),
+        )
+    elif options.dependence == "persistent":
+        scenario = scenario.with_agents([rp.persistent(a) for a in scenario.agents])
+    clock = process_time if options.cpu else perf_counter
+    began = clock()
+    plan = rp.plan(scenario, planner, checker, bound, options.dependence, time_limit=limit, seed=task.seed)
+    return Outcome(task, planner, bound, plan, clock() - began)
 
 
 def without_agents(task: Task) -> Task:
@@ -187,25 +207,42 @@ def print_drivers(drivers: dict[str, float]) -> None:
     print(f"Recorded drivers' own paths: median stated risk {np.median(values):.3g}; {shares}.\n")
 
 
-def print_solved(outcomes: list[Outcome], empty: dict[tuple[str, str], Outcome]) -> None:
-    """Shares, times, price of risk."""
-    print("| planner | bound | in 1 s | in 5 s | median [ms] | p95 [ms] | same tasks, no agents [ms] | price of risk |")
-    print("|---|---|---|---|---|---|---|---|")
-    for planner in PLANNERS:
-        for bound in BOUNDS:
-            rows = [o for o in outcomes if o.planner == planner and o.bound == bound]
-            solved = [o for o in rows if o.plan.solved]
-            if not solved:
-                print(f"| {planner} | {bound:g} | 0 % | 0 % | – | – | – | – |")
-                continue
-            times = np.array([o.seconds for o in solved])
-            plain = np.array([empty[o.task.name, planner].seconds for o in solved])
-            within = [f"{np.sum(times <= limit) / len(rows):.0%}" for limit in (1.0, 5.0)]
-            print(
-                f"| {planner} | {bound:g} | {within[0]} | {within[1]} "
-                f"| {1e3 * np.median(times):.0f} | {1e3 * np.quantile(times, 0.95):.0f} "
-                f"| {1e3 * np.median(plain):.0f} | {np.median(times) / np.median(plain):.1f} |"
-            )
+def print_solved(outcomes: list[Outcome], empty: dict[tuple[str, str], Outcome], options: argparse.Namespace) -> None:
+    """Shares, times, price of risk and decisions."""
+    print(
+        f"| planner | bound | in 1 s | in {options.limit:g} s | median [ms] | p95 [ms] "
+        "| preparation, search, judging [ms] | no agents [ms] | price of risk | decisions/s |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    for planner, bound, rows in cases(outcomes):
+        solved = [o for o in rows if o.plan.solved]
+        if not solved:
+            print(f"| {planner} | {bound:g} | 0 % | 0 % | – | – | – | – | – | {decisions(rows):.1e} |")
+            continue
+        times = np.array([o.seconds for o in solved])
+        plain = np.array([empty[o.task.name, planner].seconds for o in solved])
+        within = [f"{np.sum(times <= limit) / len(rows):.0%}" for limit in (1.0, options.limit)]
+        parts = [1e3 * np.median([o.plan.stats[k] for o in solved]) for k in ("preparation", "search", "judging")]
+        print(
+            f"| {planner} | {bound:g} | {within[0]} | {within[1]} "
+            f"| {1e3 * np.median(times):.0f} | {1e3 * np.quantile(times, 0.95):.0f} "
+            f"| {parts[0]:.1f}, {parts[1]:.1f}, {parts[2]:.1f} "
+            f"| {1e3 * np.median(plain):.0f} | {np.median(times) / np.median(plain):.1f} | {decisions(rows):.1e} |"
+        )
+
+
+def cases(outcomes: list[Outcome]) -> Iterator[tuple[str, float, list[Outcome]]]:
+    """The outcomes by planner and bound, in the order they were run."""
+    for planner, bound in dict.fromkeys((o.planner, o.bound) for o in outcomes if o.bound is not None):
+        yield planner, bound, [o for o in outcomes if (o.planner, o.bound) == (planner, bound)]
+
+
+def decisions(rows: list[Outcome]) -> float:
+    """Poses × agent modes judged per second, everything else that planning does included."""
+    searched = [o for o in rows if "checked_steps" in o.plan.stats]
+    modes = [sum(a.means.shape[1] for a in o.task.scenario.agents) for o in searched]
+    count = sum(o.plan.stats["checked_steps"] * m for o, m in zip(searched, modes, strict=True))
+    return float(count / max(sum(o.seconds for o in searched), 1e-9))
 
 
 def print_unsolved(outcomes: list[Outcome]) -> None:
@@ -220,39 +257,39 @@ def print_unsolved(outcomes: list[Outcome]) -> None:
                 else (", goal seen above the bound" if seen else ", goal not seen")
             )
             reasons[f"{o.plan.status}{detail}"] += 1
-    print("\nUnsolved after 5 s: " + (", ".join(f"{k} {v}" for k, v in reasons.most_common()) or "none") + ".")
+    print("\nUnsolved: " + (", ".join(f"{k} {v}" for k, v in reasons.most_common()) or "none") + ".")
 
 
 def print_truth(outcomes: list[Outcome], options: argparse.Namespace) -> None:
     """Monte Carlo against the bound, replay against the recording."""
-    above = 0
     print(
         "\n| planner | bound | plans | Monte Carlo above bound | collisions expected from the stated risk "
         "| replayed (95 % interval) |"
     )
     print("|---|---|---|---|---|---|")
-    for planner in PLANNERS:
-        for bound in BOUNDS:
-            solved = [o for o in outcomes if o.planner == planner and o.bound == bound and o.plan.solved]
-            if not solved:
-                continue
-            over = sum(exceeds(o, options.samples, options.seed) for o in progress(solved, "sampling"))
-            hits = sum(collides(o.plan, o.task) for o in solved)
-            low, high = clopper_pearson(np.array([hits]), len(solved), 0.95)
-            expected = sum(float(o.plan.risk.total) for o in solved if o.plan.risk is not None)
-            above += over
-            print(
-                f"| {planner} | {bound:g} | {len(solved)} | {over} | {expected:.3g} "
-                f"| {hits} ({low[0] * len(solved):.2g} to {high[0] * len(solved):.2g}) |"
-            )
+    for planner, bound, rows in cases(outcomes):
+        solved = [o for o in rows if o.plan.solved]
+        if not solved:
+            continue
+        over = sum(exceeds(o, options) for o in progress(solved, "sampling"))
+        hits = sum(collides(o.plan, o.task) for o in solved)
+        low, high = clopper_pearson(np.array([hits]), len(solved), 0.95)
+        expected = sum(float(o.plan.risk.total) for o in solved if o.plan.risk is not None)
+        print(
+            f"| {planner} | {bound:g} | {len(solved)} | {over} | {expected:.3g} "
+            f"| {hits} ({low[0] * len(solved):.2g} to {high[0] * len(solved):.2g}) |"
+        )
 
 
-def exceeds(outcome: Outcome, samples: int, seed: int) -> bool:
+def exceeds(outcome: Outcome, options: argparse.Namespace) -> bool:
     """Whether the sampled risk is above the bound beyond its interval."""
     task, plan = outcome.task, outcome.plan
     if not task.scenario.agents or outcome.bound is None:
         return False
-    sampled = sample_risk(plan.poses, plan.times, task.scenario.agents, task.scenario.ego, samples, seed)
+    agents = task.scenario.agents
+    if options.dependence == "persistent":
+        agents = tuple(rp.persistent(a) for a in agents)
+    sampled = sample_risk(plan.poses, plan.times, agents, task.scenario.ego, options.samples, options.seed)
     return sampled.interval[0] > outcome.bound
 
 
@@ -260,7 +297,7 @@ def print_least_risk(outcomes: list[Outcome], drivers: dict[str, float]) -> None
     """`bound=None` against the recorded driver, at 90 % of his progress or more."""
     print("\n| planner, bound=None, 1 s | arrived | no riskier than the driver | median stated risk, plan | driver |")
     print("|---|---|---|---|---|")
-    for planner in PLANNERS:
+    for planner in dict.fromkeys(o.planner for o in outcomes):
         rows = [o for o in outcomes if o.planner == planner]
         solved = [
             (float(o.plan.risk.total) if o.plan.risk else 0.0, drivers[o.task.name]) for o in rows if o.plan.solved
@@ -274,20 +311,20 @@ def print_least_risk(outcomes: list[Outcome], drivers: dict[str, float]) -> None
         )
 
 
-def print_reference(outcomes: list[Outcome], tasks: list[Task], limit: float) -> None:
+def print_reference(outcomes: list[Outcome], tasks: list[Task], options: argparse.Namespace) -> None:
     """How many of the tasks that a long run solves are solved in 1 s."""
-    print(f"\n| planner | bound | of {len(tasks)} tasks, solved in {limit:g} s | of these in 1 s |\n|---|---|---|---|")
+    print(f"\n| planner | bound | of {len(tasks)} tasks, solved in {options.long:g} s | of these in 1 s |")
+    print("|---|---|---|---|")
     quick = {(o.task.name, o.planner, o.bound): o for o in outcomes}
-    for planner in PLANNERS:
-        for bound in BOUNDS:
-            solved = fast = 0
-            for task in progress(tasks, f"reference {planner} {bound:g}"):
-                known = quick[task.name, planner, bound]
-                if not known.plan.solved:
-                    known = run(task, planner, bound, limit)
-                solved += known.plan.solved
-                fast += known.plan.solved and known.seconds <= 1.0
-            print(f"| {planner} | {bound:g} | {solved} | {fast} |")
+    for planner, bound, _ in cases(outcomes):
+        solved = fast = 0
+        for task in progress(tasks, f"reference {planner} {bound:g}"):
+            known = quick[task.name, planner, bound]
+            if not known.plan.solved:
+                known = run(task, planner, bound, options.long, options)
+            solved += known.plan.solved
+            fast += known.plan.solved and known.seconds <= 1.0
+        print(f"| {planner} | {bound:g} | {solved} | {fast} |")
 
 
 def progress(items: list[T], what: str) -> Iterator[T]:

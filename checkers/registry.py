@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from importlib import import_module
 from typing import Any
 
@@ -13,12 +12,16 @@ from checkers.validate import InputError, as_option
 BACKENDS = {
     "exact": "exact:Exact",
     "imhof": "imhof:Imhof",
+    "liu": "liu:Liu",
     "chebyshev": "chebyshev:Chebyshev",
     "halfspace": "halfspace:HalfSpace",
     "marshall-olkin": "marshall_olkin:MarshallOlkin",
     "unimodal-halfspace": "unimodal:UnimodalHalfSpace",
     "sos": "sos:Sos",
     "projected-sos": "projected_sos:ProjectedSos",
+    "offline-sos": "offline_sos:OfflineSos",
+    "bivariate-sos": "bivariate_sos:BivariateSos",
+    "cascade": "cascade:Cascade",
     "monte-carlo": "monte_carlo:MonteCarlo",
 }
 
@@ -36,7 +39,7 @@ def checker(name: str, **options: Any) -> Checker:
     """
     as_option("checker", name, tuple(BACKENDS))
     cls = _load(name)
-    valid = [f.name for f in fields(cls)]  # type: ignore[arg-type]
+    valid = list(cls.defaults())
     for option in options:
         if option not in valid:
             known = f"expected one of {', '.join(valid)}" if valid else "it has none"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from checkers.agents import Prediction
 from checkers.kind import Kind
-from checkers.prediction import Prediction
 from checkers.validate import Array, InputError
 
 
@@ -32,10 +32,18 @@ class Risk:
 
     def __post_init__(self) -> None:
         # NaN, "not known", is allowed here and stays NaN in every sum
-        bad = np.argwhere((self.value < 0.0) | (self.value > 1.0))
-        if len(bad):
+        wrong = (self.value < 0.0) | (self.value > 1.0)
+        if wrong.any():
+            bad = np.argwhere(wrong)
             got = self.value[tuple(bad[0])]
             raise InputError(f"risk.value{bad[0].tolist()}: expected a probability in [0, 1], got {got!r}")
+
+    @classmethod
+    def unchecked(cls, value: Array, kind: Kind, error: Array | None, lower: Array | None, checker: str) -> Risk:
+        """For backends, whose values are probabilities by construction: the check costs as much as a bound."""
+        made = object.__new__(cls)
+        made.__dict__.update(value=value, kind=kind, error=error, lower=lower, checker=checker)
+        return made
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +75,7 @@ class TrajectoryRisk:
 
 
 DEPENDENCE = ("independent", "boole")
+PATH_DEPENDENCE = ("independent", "persistent", "boole")
 
 
 def trajectory_risk(
@@ -79,7 +88,7 @@ def trajectory_risk(
     assumption, not a bound: under negative dependence the truth may be larger; `dependence="boole"` never is.
 
     Args:
-        risks: one `Risk` per agent, values (…, T, K).
+        risks: one `Risk` per agent, values (…, T, K), or (…, T, 1) of the mixture taken whole.
         predictions: the agents, in the same order.
         dependence: "independent" or "boole".
 
@@ -94,16 +103,18 @@ def trajectory_risk(
         )
     agents, steps, booles, tops = [], [], [], []
     for index, (risk, pred) in enumerate(zip(risks, predictions, strict=True)):
-        if risk.value.shape[-2:] != pred.means.shape[:2]:
+        steps_modes = pred.means.shape[:2]
+        whole = risk.value.shape[-2:] == (steps_modes[0], 1)  # of the mixture taken whole, or of a single mode
+        if risk.value.shape[-2:] != steps_modes and not whole:
             raise InputError(f"risks[{index}].value: expected (..., {pred.means.shape[:2]}), got {risk.value.shape}")
         if len(pred.times) != len(predictions[0].times) or np.abs(pred.times - predictions[0].times).max() > 1e-6:
             raise InputError(
                 f"predictions[{index}].times: expected one time grid for all agents; resample with .at(times)"
             )
-        marginal = (pred.step_weights * risk.value).sum(axis=-1)
+        marginal = risk.value[..., 0] if whole else (pred.step_weights * risk.value).sum(axis=-1)
         if dependence == "boole":
             total = marginal.sum(axis=-1)
-        elif pred.modes == "persistent":
+        elif pred.modes == "persistent" and not whole:
             total = (pred.weights * _any(risk.value, axis=-2)).sum(axis=-1)
         else:
             total = _any(marginal, axis=-1)

@@ -7,6 +7,7 @@ pieces `{x : (x − o)ᵀ Q (x − o) ≤ 1}`; the risk of several pieces is the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -59,10 +60,75 @@ class EgoEllipsoid:
         corners = _minkowski_corners(*_sizes(length, width, agent_length, agent_width), relative_heading)
         return cls(smallest_ellipse(corners))
 
+    @staticmethod
+    def aligned(length: float, width: float) -> AlignedEllipsoid:
+        """An ellipse per step and mode, about both rectangles at the agent's own heading; see `AlignedEllipsoid`."""
+        return AlignedEllipsoid(length, width)
+
     def pieces(self, agent: Body) -> tuple[Array, Array]:
         """One ellipsoid about the origin, the same for every agent: (1, 2), (1, 2, 2)."""
         del agent
         return np.zeros((1, 2)), self.Q[None]
+
+
+@dataclass(frozen=True)
+class EgoBox:
+    """The true rectangle, against the agent's true rectangle: the tightest shape. Sizes in metres.
+
+    `path_risk` judges it exactly, as box ⊕ box at the agent's heading; it needs agents with length, width and headings.
+    Backends, which know ellipsoids only, get a cover by discs that contains it.
+    """
+
+    length: float
+    width: float
+
+    def __post_init__(self) -> None:
+        _sizes(self.length, self.width, 0.0, 0.0)
+
+    def pieces(self, agent: Body) -> tuple[Array, Array]:
+        """Six discs that contain box ⊕ box at any heading of the agent."""
+        return EgoCover(self.length, self.width, 6, *agent_size("EgoBox", agent)).pieces(agent)
+
+
+@dataclass(frozen=True)
+class AlignedEllipsoid:
+    """An ellipse around both rectangles that turns with the agent's heading, per step and mode. Sizes in metres.
+
+    It contains the sum of the smallest ellipses around either (Kurzhanski & Vályi 1997, section 2.2):
+    {x : xᵀ P⁻¹ x ≤ 1}, P = (1 + 1/p) P_ego + (1 + p) P_agent for any p > 0; √(tr P_ego / tr P_agent) makes tr P least.
+    `path_risk` takes it; backends, whose shape does not turn, get the ellipse for any heading.
+    """
+
+    length: float
+    width: float
+
+    def __post_init__(self) -> None:
+        _sizes(self.length, self.width, 0.0, 0.0)
+
+    def forms(self, agent: Body) -> tuple[float, float, float, float]:
+        """Semi-axes [m] of the ellipses whose matrices add up to P: the ego's along its body, then the agent's."""
+        other = agent_size("EgoEllipsoid.aligned", agent)
+        # the smallest ellipse around a rectangle has √2 times its half-axes
+        ratio = float(np.hypot(self.length, self.width) / np.hypot(*other))
+        ego, agent_scale = np.sqrt(0.5 * (1 + 1 / ratio)), np.sqrt(0.5 * (1 + ratio))
+        return ego * self.length, ego * self.width, agent_scale * other[0], agent_scale * other[1]
+
+    def pieces(self, agent: Body) -> tuple[Array, Array]:
+        """The ellipse that contains both at any heading."""
+        return EgoEllipsoid.around(self.length, self.width, *agent_size("EgoEllipsoid.aligned", agent)).pieces(agent)
+
+
+def agent_size(shape: str, agent: Body) -> tuple[float, float]:
+    """Length and width of an agent that must have them.
+
+    Raises:
+        InputError: naming what is missing.
+    """
+    if agent.length is None or agent.width is None:
+        raise InputError(
+            f"{'length' if agent.length is None else 'width'}: {shape} needs agents that carry it, got None"
+        )
+    return agent.length, agent.width
 
 
 @dataclass(frozen=True)
@@ -86,8 +152,8 @@ class EgoCover:
 
     def __post_init__(self) -> None:
         _sizes(self.length, self.width, self.agent_length or 0.0, self.agent_width or 0.0)
-        if not isinstance(self.n, int) or isinstance(self.n, bool) or self.n < 1:
-            raise InputError(f"n: expected an integer >= 1, got {self.n!r}")
+        if not isinstance(self.n, int) or isinstance(self.n, bool) or not 1 <= self.n <= 1000:
+            raise InputError(f"n: expected an integer from 1 to 1000, got {self.n!r}")
         if self.relative_heading is not None:
             as_scalar("relative_heading", self.relative_heading)
 
@@ -108,16 +174,25 @@ class EgoCover:
         """(n, 2), (n, 2, 2): discs for an agent of this size."""
         agent_length = (agent.length or 0.0) if self.agent_length is None else self.agent_length
         agent_width = (agent.width or 0.0) if self.agent_width is None else self.agent_width
-        if self.relative_heading is None:
-            half_length, half_width = self.length / 2, self.width / 2
-            margin = float(np.hypot(agent_length, agent_width)) / 2
-        else:
-            box = _bounding_box(agent_length, agent_width, self.relative_heading)
-            half_length, half_width, margin = (self.length + box[0]) / 2, (self.width + box[1]) / 2, 0.0
-        radius = float(np.hypot(half_length / self.n, half_width)) + margin
-        centres = (2 * np.arange(self.n) + 1 - self.n) * half_length / self.n
-        offsets = np.column_stack([centres, np.zeros(self.n)])
-        return offsets, np.broadcast_to(np.eye(2) / radius**2, (self.n, 2, 2))
+        return _discs(self.length, self.width, self.n, agent_length, agent_width, self.relative_heading)
+
+
+@lru_cache(maxsize=256)
+def _discs(
+    length: float, width: float, n: int, agent_length: float, agent_width: float, relative_heading: float | None
+) -> tuple[Array, Array]:
+    """The pieces of an `EgoCover`, read-only."""
+    if relative_heading is None:
+        half_length, half_width = length / 2, width / 2
+        margin = float(np.hypot(agent_length, agent_width)) / 2
+    else:
+        box = _bounding_box(agent_length, agent_width, relative_heading)
+        half_length, half_width, margin = (length + box[0]) / 2, (width + box[1]) / 2, 0.0
+    radius = float(np.hypot(half_length / n, half_width)) + margin
+    centres = (2 * np.arange(n) + 1 - n) * half_length / n
+    offsets = np.column_stack([centres, np.zeros(n)])
+    offsets.flags.writeable = False
+    return offsets, np.broadcast_to(np.eye(2) / radius**2, (n, 2, 2))
 
 
 def smallest_ellipse(points: Array) -> Array:

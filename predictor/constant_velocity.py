@@ -72,12 +72,14 @@ class Situation:
         features: (3,) 1, s, s² with s = log(0.1 + speed); with `PAST` seconds of past (6,), then also
             log(0.05 + |longitudinal acceleration|), log(0.01 + |lateral acceleration|) and
             log(0.02 + |lateral speed|), in m/s and m/s². The offsets are of the size of the noise.
+        motion: (3,) with their signs: acceleration ahead and to the left [m/s²], speed to the left [m/s]; 0 if unknown.
     """
 
     position: Array
     velocity: Array
     heading: float
     features: Array
+    motion: Array = field(default_factory=lambda: np.zeros(3))
 
     @property
     def known(self) -> bool:
@@ -100,8 +102,9 @@ class Situation:
         velocity = _least_squares(age, past.positions, window, 1)[1]
         acceleration = 2 * _least_squares(age, past.positions, PAST, 2)[2]
         speed = float(velocity @ ahead)
-        noisy = np.abs([acceleration @ ahead, acceleration @ left, velocity @ left])
-        return cls(position, speed * ahead, heading, np.append(_features(speed), np.log(NOISE + noisy)))
+        motion = np.array([acceleration @ ahead, acceleration @ left, velocity @ left])
+        features = np.append(_features(speed), np.log(NOISE + np.abs(motion)))
+        return cls(position, speed * ahead, heading, features, motion)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """CommonRoad XML files (2018b and 2020a) to tracks, through commonroad-io (the extra `commonroad`).
 
-Files are untrusted: one with a document type declaration is refused before the reader sees it, so no entity
-is ever expanded.
+Files are untrusted. `predictor.check_commonroad` sees them first: no document type declaration, so no entity is ever
+expanded, and no numbers that the reader would loop over or fill the memory with. What was checked is what is read.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from xml.parsers import expat
 
 import numpy as np
 
 from checkers.validate import Array, InputError
+from predictor.check_commonroad import checked_content
 from predictor.lanes import Lane
 from predictor.tracks import Track
 
@@ -28,7 +28,7 @@ def open_commonroad(path: str | Path) -> tuple[Any, Any]:
     Raises:
         InputError: one line that names the file: missing, malformed, not CommonRoad, or no commonroad-io.
     """
-    _check_xml(path)
+    content = checked_content(path)
     with _quiet():
         try:
             from commonroad.common.file_reader import CommonRoadFileReader  # noqa: PLC0415 (an extra)
@@ -37,7 +37,7 @@ def open_commonroad(path: str | Path) -> tuple[Any, Any]:
                 f"{path}: reading CommonRoad files needs commonroad-io: pip install '.[commonroad]' in the checkout"
             ) from None
         try:
-            scenario, problems = CommonRoadFileReader(str(path)).open()
+            scenario, problems = CommonRoadFileReader(content).open()  # bytes are parsed as they are
         except Exception as error:  # whatever the reader trips over, the file is the cause
             raise InputError(f"{path}: not a readable CommonRoad file: {one_line(error)}") from None
     return scenario, problems
@@ -137,33 +137,6 @@ def _track(obstacle: Any, states: list[Any], dt: float) -> Track:
         width=width,
         kind=str(obstacle.obstacle_type.value),
     )
-
-
-def _check_xml(path: str | Path) -> None:
-    try:
-        content = Path(path).read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    roots: list[str] = []
-
-    def doctype(*_: Any) -> None:
-        raise InputError(f"{path}: a document type declaration (DOCTYPE) is not accepted")
-
-    def element(name: str, _: Any) -> None:
-        if not roots and name != "commonRoad":
-            raise InputError(f"{path}: not a CommonRoad file: expected the root commonRoad, got {name}")
-        roots.append(name)
-        parser.StartElementHandler = None
-
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = doctype
-    parser.StartElementHandler = element
-    try:
-        parser.Parse(content, True)
-    except expat.ExpatError as error:
-        raise InputError(f"{path}: malformed XML: {error}") from None
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,18 @@ class Lane:
             raise InputError(f"centre: expected at least 2 points, got {len(self.centre)}")
         for field in ("left", "right"):
             object.__setattr__(self, field, as_array(field, getattr(self, field), self.centre.shape))
+
+    @cached_property
+    def line(self) -> Any:
+        """The centre line as a shapely geometry."""
+        return shapely.LineString(self.centre)
+
+    @cached_property
+    def area(self) -> Any:
+        """The outline as a valid shapely geometry."""
+        area = shapely.make_valid(shapely.Polygon(self.outline))
+        shapely.prepare(area)
+        return area
 
     @property
     def outline(self) -> Array:

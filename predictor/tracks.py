@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from checkers.validate import Array, InputError, as_array, as_scalar, as_times
+from checkers.validate import LARGEST_BODY, Array, InputError, as_array, as_scalar, as_times
 
 # times are multiples of a step kept as floats: equal up to rounding
 SLACK = 1e-6
@@ -49,7 +49,7 @@ class Track:
         for field, shape in (("positions", (count, 2)), ("headings", (count,)), ("speeds", (count,))):
             put(self, field, as_array(field, getattr(self, field), shape))
         for field in ("length", "width"):
-            put(self, field, as_scalar(field, getattr(self, field), low=0.0, strict=True))
+            put(self, field, as_scalar(field, getattr(self, field), low=0.0, high=LARGEST_BODY, strict=True))
 
     def until(self, time: float) -> Track:
         """The states up to and including `time`: all that may be known then."""

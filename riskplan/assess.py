@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from checkers import Checker, InputError, TrajectoryRisk
-from riskplan.evaluator import RiskEvaluator
+from riskplan.futures import make_evaluator
 from riskplan.result import Plan
 from riskplan.scene import Scenario
 
@@ -24,7 +24,7 @@ def judge_again(plan: Plan, scenario: Scenario, checker: Checker) -> tuple[Plan,
             f"trajectory.times: expected the scenario's grid, 0 to {scenario.times[-1]:g} s by {scenario.time_step:g} s"
         )
     dependence = str(plan.settings.get("dependence", "independent"))
-    evaluator = RiskEvaluator(scenario.agents, scenario.ego, checker, scenario.times, dependence)
+    evaluator = make_evaluator(scenario.agents, scenario.ego, checker, scenario.times, dependence)
     risk, marginals = evaluator.judge(plan.poses)
     same = _same_risk(plan.risk, risk) and len(marginals) == len(plan.marginals)
     same = same and all(np.array_equal(a, b, equal_nan=True) for a, b in zip(marginals, plan.marginals, strict=True))

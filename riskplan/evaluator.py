@@ -2,41 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
+from scipy.special import ndtri
 
-from checkers import Checker, EgoShape, Kind, MomentPrediction, Risk, TrajectoryRisk, trajectory_risk
-from checkers.kernels.whiten import pack_pieces, whiten_all
+from checkers import Checker, EgoShape, Kind, Risk, TrajectoryRisk
+from checkers.backends.cascade import Cascade
+from checkers.kernels.whiten import determinant, whiten_all
+from checkers.prediction import PositionPrediction
 from checkers.validate import Array
 from riskplan.kernels import charge as hot
+from riskplan.packing import AgentGrid, on_grid, pack_agents
 from riskplan.scene import Agent
-
-_FAR = 13.0  # Φ(−13) = 6e-39: what a culled mode can at most add per step
-
-
-@dataclass(frozen=True, eq=False)
-class AgentGrid:
-    """All that the hot path reads of the agents.
-
-    Attributes:
-        rows: (T, M, 7 + moments) per step and agent mode: mean, covariance, weight, squared cull distance, moments.
-        index: (M, 3) group, first and last piece.
-        pieces: (P, 5) packed pieces of the ego shape for all agents.
-        groups: (G,) outer weights of the accumulators.
-        owner: (M,) agent of each row.
-        order: of the moments carried, 0 for Gaussian modes.
-    """
-
-    rows: Array
-    index: np.ndarray
-    pieces: Array
-    groups: Array
-    owner: np.ndarray
-    order: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +34,8 @@ class RiskEvaluator:
         dependence: "independent" or "boole".
         resolution: total risk that does not matter [1]: together, the bounds charged in place of exact values
             overstate a trajectory by less.
+        step_bound: on the marginal risk of every step, summed over agents; a motion that breaks it is charged NaN.
+        agent_bound: on the risk of every agent over the whole trajectory; likewise.
     """
 
     agents: tuple[Agent, ...]
@@ -62,11 +44,18 @@ class RiskEvaluator:
     times: Array
     dependence: str = "independent"
     resolution: float = 1e-15
+    step_bound: float = np.inf
+    agent_bound: float = np.inf
 
     @cached_property
-    def resampled(self) -> tuple[Agent, ...]:
+    def seen(self) -> tuple[PositionPrediction, ...]:
+        """The agents as the checker reads them: with their modes, or without."""
+        return tuple(self.checker.seen(agent) for agent in self.agents)
+
+    @cached_property
+    def resampled(self) -> tuple[PositionPrediction, ...]:
         """The agents on the part of the grid they cover: all of it, or all but time 0."""
-        return tuple(agent.at(self.times[self.times >= agent.times[0] - 1e-6]) for agent in self.agents)
+        return tuple(on_grid(agent, self.times) for agent in self.seen)
 
     @cached_property
     def grid(self) -> AgentGrid:
@@ -76,18 +65,26 @@ class RiskEvaluator:
     @cached_property
     def _call(self) -> tuple[object, ...]:
         g = self.grid
-        terms = len(self.times) * max(int((g.index[:, 2] - g.index[:, 1]).sum()), 1)
-        bounded = self.checker.info.kind is Kind.EXACT
+        pieces = g.index[:, 2] - g.index[:, 1]
+        terms = len(self.times) * max(int(pieces.sum()), 1)
+        stated = self.checker.resolution if isinstance(self.checker, Cascade) else 0.0
+        bounded = self.checker.info.kind is Kind.EXACT or stated > 0.0
+        # at least what the judge will state of a whole shape
+        negligible = max(0.5 * self.resolution / terms, stated * pieces.max(initial=1)) if bounded else 0.0
+        idle = 0.5 * self.resolution / len(self.times) if bounded else 0.0
         return (
             self.checker.kernel,
-            self.checker.search_options,
+            self.checker.options,
             g.order,
             g.rows,
             g.index,
             g.pieces,
             g.groups,
+            g.group_owner,
             self.dependence == "boole",
-            self.resolution / terms if bounded else 0.0,
+            (negligible, float(ndtri(negligible)) ** 2 if bounded else np.inf, idle, stated),
+            (float(self.step_bound), float(self.agent_bound)),
+            np.array([-1]),  # a hint that charges keep for each other; it changes no verdict
         )
 
     @property
@@ -112,7 +109,15 @@ class RiskEvaluator:
         """
         given = _NONE if self.checker.kernel else self._given(poses, first_step)
         total: float = hot.charge(*self._call, given, poses, first_step, before, limit, after)
-        return total * (1.0 + self.checker.search_slack)
+        return total
+
+    def levels(self, accumulators: Array) -> Array:
+        """What of the accumulators tells which of two nodes at one place is riskier."""
+        return accumulators
+
+    def confirmed(self, poses: Array, total: float) -> float:  # noqa: ARG002  others have to look
+        """The risk that the search may state for poses from the start on, charged as `total`: that itself."""
+        return total
 
     def at_time(self, pose: Array, time: float) -> float:
         """Marginal risk at any time, summed over agents, at most 1; agents are interpolated between grid steps.
@@ -128,16 +133,17 @@ class RiskEvaluator:
         gap = self.times[position] - self.times[left]
         share = 1.0 if gap == 0 else min(max((time - self.times[left]) / gap, 0.0), 1.0)
         g = self.grid
-        row = g.rows[position] if share > 1.0 - 1e-9 else (1 - share) * g.rows[left] + share * g.rows[position]
+        row = g.rows[position].copy() if share > 1 - 1e-9 else (1 - share) * g.rows[left] + share * g.rows[position]
         if np.isnan(row[:, hot.WEIGHT]).any():
             return float("nan")
-        grid = AgentGrid(row[None], g.index, g.pieces, g.groups, g.owner, g.order)
+        row[:, hot.DET] = [determinant(*c) for c in row[:, hot.C11 : hot.C22 + 1].tolist()]
+        grid = replace(g, rows=row[None])
         call = list(self._call)
-        call[3] = grid.rows
+        call[3], call[10] = grid.rows, (np.inf, np.inf)
         given = _NONE if self.checker.kernel else self._given(np.reshape(pose, (1, 3)), 0, grid)
         zero, after = np.zeros(self.groups), np.zeros(self.groups)
         total: float = hot.charge(*call, given, np.reshape(pose, (1, 3)), 0, zero, np.inf, after)
-        return min(total * (1.0 + self.checker.search_slack), 1.0) if total == total else total
+        return min(total, 1.0) if total == total else total
 
     def judge(self, poses: Array) -> tuple[TrajectoryRisk | None, tuple[Array, ...]]:
         """Risk of poses (S, 3) at the first S grid times, start included, every mode evaluated.
@@ -145,33 +151,77 @@ class RiskEvaluator:
         Returns:
             the trajectory risk (None without agents), and per agent the marginals (S, K), NaN before its prediction.
         """
-        marginals = self.marginals(poses)
-        if not marginals:
+        if not self.agents:
             return None, ()
-        times = self.times[: len(poses)]
-        known = [replace(r, value=np.where(np.isnan(r.value), 0.0, r.value)) for r in marginals]
-        risk = trajectory_risk(known, [_on_grid(a, times) for a in self.agents], self.dependence)
-        return risk, tuple(r.value for r in marginals)
+        g, additive = self.grid, self.dependence == "boole"
+        rows = self._rows(np.ascontiguousarray(poses, dtype=float))
+        per_agent, per_step = np.zeros(len(self.agents)), np.zeros(len(poses))
+        boole, top = hot.combine(rows, g.rows, g.index, g.groups, g.group_owner, additive, per_agent, per_step)
+        # a sum over events that may coincide is a bound
+        summed = [Kind.UPPER_BOUND] if additive or len(self.agents) > 1 else []
+        return TrajectoryRisk(
+            total=np.minimum(per_agent.sum(), 1.0),
+            per_agent=per_agent,
+            per_step=per_step,
+            boole=np.asarray(boole),
+            max_step=np.asarray(top),
+            kind=Kind.weakest([*self._kinds, *summed]),
+            dependence=self.dependence,
+        ), tuple(rows[:, mine] for mine in self._columns)
+
+    def broken(self, risk: TrajectoryRisk | None, bound: float | None) -> str:
+        """What bound a judged trajectory breaks, in words; "" if it is within all of them."""
+        if risk is None:
+            return ""
+        if bound is not None and not risk.total <= bound:
+            return f"in total, above the bound {bound:g}"
+        if not (risk.per_step <= self.step_bound).all():
+            return f"with {risk.per_step.max():.6g} at one step, above the bound {self.step_bound:g} on steps"
+        if not (risk.per_agent <= self.agent_bound).all():
+            return f"with {risk.per_agent.max():.6g} of one agent, above the bound {self.agent_bound:g} on agents"
+        return ""
+
+    def spending(self, poses: Array) -> Array:
+        """(S, A) risk of each agent up to and with each step: how the budget is spent along the way."""
+        g, additive = self.grid, self.dependence == "boole"
+        rows = self._rows(np.ascontiguousarray(poses, dtype=float))
+        out = np.zeros((len(poses), len(self.agents)))
+        for s in range(len(poses)):
+            hot.combine(rows[: s + 1], g.rows, g.index, g.groups, g.group_owner, additive, out[s], np.zeros(s + 1))
+        return out
 
     def marginals(self, poses: Array) -> tuple[Risk, ...]:
         """Per agent the risk (S, K) at the first S grid times; NaN before its prediction begins."""
-        g, poses = self.grid, np.ascontiguousarray(poses, dtype=float)
+        rows = self._rows(np.ascontiguousarray(poses, dtype=float))
+        name = self.checker.info.name
+        return tuple(
+            Risk(rows[:, mine], kind, checker=name) for mine, kind in zip(self._columns, self._kinds, strict=True)
+        )
+
+    @cached_property
+    def _columns(self) -> list[slice]:
+        """Of each agent's modes."""
+        ends = np.searchsorted(self.grid.owner, np.arange(len(self.agents) + 1)).tolist()
+        return [slice(*pair) for pair in pairwise(ends)]
+
+    @property
+    def _kinds(self) -> list[Kind]:
+        """What is claimed of each agent's marginals."""
+        counts = (self.grid.index[:, 2] - self.grid.index[:, 1]).tolist()
+        return [self.checker.kind_for(counts[mine.start]) for mine in self._columns]
+
+    def _rows(self, poses: Array) -> Array:
+        """(S, M) risk of every agent mode, nothing culled or bounded; NaN before a prediction begins."""
+        g = self.grid
+        begun = ~np.isnan(g.rows[: len(poses), :, hot.WEIGHT])
         if self.checker.kernel:
-            rows = np.empty((len(poses), len(g.index)))
-            options = self.checker.options
-            hot.marginals(self.checker.kernel, options, g.order, g.rows, g.index, g.pieces, poses, 0, rows)
-            begun = ~np.isnan(g.rows[: len(poses), :, hot.WEIGHT])
+            rows = np.empty(begun.shape)
+            hot.marginals(*self._call[:7], self.checker.info.kind is Kind.EXACT, poses, rows)
             rows[begun] = self.checker.answered(rows[begun])
         else:
             rows = self._given(poses, 0)
-            rows[np.isnan(g.rows[: len(poses), :, hot.WEIGHT])] = np.nan
-        name = self.checker.info.name
-        out = []
-        for a in range(len(self.agents)):
-            mine = np.flatnonzero(g.owner == a)
-            kind = self.checker.kind_for(int(g.index[mine[0], 2] - g.index[mine[0], 1]))
-            out.append(Risk(rows[:, mine], kind, checker=name))
-        return tuple(out)
+            rows[~begun] = np.nan
+        return rows
 
     def _given(self, poses: Array, first_step: int, grid: AgentGrid | None = None) -> Array:
         """(S, M) risks by a backend that works on arrays."""
@@ -187,7 +237,7 @@ class RiskEvaluator:
             w = whiten_all(
                 np.ascontiguousarray(poses[near]),
                 np.ascontiguousarray(row[near][:, :, :2]),
-                np.ascontiguousarray(row[near][:, :, hot.C11 : hot.C22 + 1]),
+                np.ascontiguousarray(row[near][:, :, hot.C11 : hot.DET + 1]),
                 moments,
                 g.order,
                 g.pieces[first:last],
@@ -205,78 +255,3 @@ class RiskEvaluator:
 
 
 _NONE = np.zeros((0, 0))
-
-
-def pack_agents(agents: Sequence[Agent], ego: EgoShape, checker: Checker, times: Array) -> AgentGrid:
-    """Pack agents that are on the grid already, from some step on to its end.
-
-    Raises:
-        InputError: if a backend needs more than an agent carries.
-    """
-    blocks, index, pieces, groups, owner = [], [], [], [], []
-    order = count = 0
-    packed_for: dict[tuple[float | None, float | None], Array] = {}
-    gaussian_only = checker.moments_needed == 0
-    if checker.moments_needed > 2 and any(isinstance(a, MomentPrediction) for a in agents):
-        agents = [a.moments(checker.moments_needed) for a in agents]
-    for a, agent in enumerate(agents):
-        covered = times >= agent.times[0]
-        arrays = checker.arrays(agent)
-        steps, modes = len(times), arrays.means.shape[1]
-        order = arrays.order
-        size = (agent.length, agent.width)
-        if size not in packed_for:
-            packed_for[size] = pack_pieces(*ego.pieces(agent))
-        packed = packed_for[size]
-        reach = circumradius(packed)
-        block = np.full((steps, modes, hot.MOMENTS + arrays.moments.shape[-1]), np.nan)
-        c11, c12, c22 = np.moveaxis(arrays.covariances, -1, 0)
-        spread = np.sqrt(0.5 * (c11 + c22) + np.hypot(0.5 * (c11 - c22), c12))
-        persistent = agent.modes == "persistent"
-        weights = 1.0 if persistent else agent.step_weights
-        block[covered, :, :2] = arrays.means
-        block[covered, :, hot.C11 : hot.C22 + 1] = arrays.covariances
-        block[covered, :, hot.WEIGHT] = weights
-        block[covered, :, hot.CULL] = (reach + _FAR * spread) ** 2 if gaussian_only else np.inf
-        block[covered, :, hot.MOMENTS :] = arrays.moments
-        for k in range(modes):
-            if persistent or k == 0:
-                groups.append(float(agent.weights[k]) if persistent else 1.0)
-            index.append((len(groups) - 1, count, count + len(packed)))
-            owner.append(a)
-        pieces.append(packed)
-        count += len(packed)
-        blocks.append(block)
-    width = max((b.shape[2] for b in blocks), default=hot.MOMENTS + 1)
-    rows = np.concatenate(blocks, axis=1) if blocks else np.zeros((len(times), 0, width))
-    return AgentGrid(
-        np.ascontiguousarray(rows),
-        np.array(index, dtype=np.int64).reshape(-1, 3),
-        np.concatenate(pieces) if pieces else np.zeros((0, 5)),
-        np.array(groups),
-        np.array(owner, dtype=np.int64),
-        order,
-    )
-
-
-def circumradius(pieces: Array) -> float:
-    """Radius about the ego's centre that holds all pieces."""
-    root = np.zeros((len(pieces), 2, 2))
-    root[:, 0, 0], root[:, 1, 0], root[:, 1, 1] = pieces[:, 2], pieces[:, 3], pieces[:, 4]
-    longest = 1.0 / np.linalg.svd(root, compute_uv=False)[:, 1]
-    return float((np.hypot(pieces[:, 0], pieces[:, 1]) + longest).max())
-
-
-def _on_grid(agent: Agent, times: Array) -> Agent:
-    """The agent on `times`; a missing time 0 repeats its first prediction, of which only the weights are then read."""
-    if agent.times[0] <= times[0]:
-        return agent.at(times)
-    if len(times) == 1:
-        return replace(agent.at(agent.times[:1]), times=times)
-    later = agent.at(times[1:])
-    names = ["means", "central_moments" if isinstance(later, MomentPrediction) else "covariances", "headings"]
-    if later.weights.ndim == 2:
-        names.append("weights")
-    values = {name: getattr(later, name) for name in names}
-    repeated: dict[str, Any] = {name: np.concatenate([v[:1], v]) for name, v in values.items() if v is not None}
-    return replace(later, times=times, **repeated)

@@ -42,7 +42,7 @@ def write_results(folder: Path, scenario: Scenario, plan: Plan, report: Report |
             if report is not None:
                 write_text(aside / "report.json", json_text(report_to_dict(report)))
             render(scenario, plan, aside / "scene.html")
-            render(scenario, plan, aside / "scene.png")
+            render(scenario, plan, aside / "scene.png", view="top")  # the same with and without a browser
             names = sorted(p.name for p in aside.iterdir())
             folder.mkdir(parents=True, exist_ok=True)
             for name in names:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from importlib import import_module
@@ -10,15 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from checkers import DEPENDENCE, Checker, InputError, TrajectoryRisk, checker
+from checkers import PATH_DEPENDENCE, Checker, InputError, TrajectoryRisk, checker
 from checkers.validate import as_option, as_scalar
-from riskplan.evaluator import RiskEvaluator
+from riskplan.between_steps import BETWEEN_STEPS, Inflated, for_all_times
+from riskplan.futures import make_evaluator
+from riskplan.refused import REFUSED
 from riskplan.result import Plan
 from riskplan.rounding import by_kind
 from riskplan.scene import Scenario
 from riskplan.search import Budget, Planner, Problem, SearchResult
 from riskplan.warm_up import warm_up
-from riskplan.world import goal_too_far, reachable_regions, start_is_free
+from riskplan.world import goal_reachable, goal_too_far, start_is_free
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,12 @@ _PLANNERS = (
         "rrt:Rrt",
     ),
     PlannerInfo(
+        "rrt-star",
+        "anytime: the first plan of rrt, made cheaper in time, comfort and risk until the time limit",
+        "Hauser & Zhou 2016 (AO-RRT), on OMPL oc.RRT",
+        "rrt_star:RrtStar",
+    ),
+    PlannerInfo(
         "prm",
         "roadmap of Dubins edges, searched in time under the risk budget; reusable for new predictions",
         "Kavraki et al. 1996, OMPL og.PRM sampling",
@@ -66,6 +75,8 @@ def make_planner(name: str, **options: Any) -> Planner:
     Raises:
         InputError: for an unknown name or option, listing the valid ones.
     """
+    if name in REFUSED:
+        raise InputError(f"{name}: {REFUSED[name]}; expected one of {', '.join(planners())}")
     as_option("planner", name, tuple(planners()))
     module, cls = planners()[name].implementation.split(":")
     factory = getattr(import_module(f"riskplan.ompl.{module}"), cls)
@@ -86,6 +97,12 @@ def plan(
     time_limit: float = 1.0,
     seed: int = 0,
     stop: Callable[[], bool] | None = None,
+    *,
+    between_steps: str = "grid",
+    step_bound: float | None = None,
+    agent_bound: float | None = None,
+    iterations: int | None = None,
+    workers: int = 1,
     **options: Any,
 ) -> Plan:
     """A trajectory from start to goal whose total collision risk is within `bound`; or the reason why there is none.
@@ -95,10 +112,18 @@ def plan(
         planner: name (see `planners`) or a planner value, e.g. a `Prm` that keeps its roadmap.
         checker: name of a backend (see `checkers`) or a `Checker` with its options.
         bound: on the total risk of the trajectory, start included; None: as low as the time limit allows.
-        dependence: how steps combine, "independent" (given a persistent mode) or "boole" (any dependence).
+        dependence: how steps combine, "independent" (given a persistent mode), "persistent" (errors last as the agents'
+            `factors` say; see `rp.persistent`; checker "exact" only) or "boole" (any dependence).
         time_limit: of the search [s]; judging, and compilation at the first use ever, come on top.
-        seed: of all randomness; the same seed and enough time give the same plan.
+        seed: of all randomness; the same seed, versions and iterations give the same plan, if time does not end first
+            (`plan.stats["ended_by"]` tells).
         stop: asked all through the search; True ends it as if its time were up.
+        between_steps: "grid", the risk at the times of the grid; or "inflated", a bound of the risk at all times, by
+            bodies as large as they may move within half a step (see `riskplan.between_steps`).
+        step_bound: on the risk of every step, over all agents, as in `plan.risk.per_step`; held beside `bound`.
+        agent_bound: on the risk of every agent, as in `plan.risk.per_agent`; held beside `bound`.
+        iterations: most motions of a tree, or labels and vertices of a roadmap; None: as many as time allows.
+        workers: processes that search with seeds `seed`, `seed + 1`, …; see `riskplan.workers`.
         **options: of the planner.
 
     Returns:
@@ -109,43 +134,96 @@ def plan(
     """
     chosen = _checker(checker)
     method = make_planner(planner, **options) if isinstance(planner, str) else planner
+    asked = {"bound": bound, "step_bound": step_bound, "agent_bound": agent_bound, "dependence": dependence}
+    asked |= {"time_limit": time_limit, "seed": seed, "iterations": iterations, "workers": workers}
+    settings = _settings(planner, method, chosen, asked)
+    if as_option("between_steps", between_steps, BETWEEN_STEPS) == "inflated":
+        wide = for_all_times(scenario, settings)
+        left = {**options, **wide.left(settings), "iterations": iterations, "workers": workers}
+        on_grid = plan(
+            wide.scenario, planner, checker, dependence=dependence, time_limit=time_limit, seed=seed, stop=stop, **left
+        )
+        return _in_continuous_time(on_grid, wide, settings)
+    if workers > 1:
+        from riskplan.workers import plan_with_workers  # noqa: PLC0415  multiprocessing costs import time
+
+        return plan_with_workers(scenario, method, chosen, settings, stop)
+    return search_once(scenario, method, chosen, settings, stop)
+
+
+def search_once(
+    scenario: Scenario,
+    method: Planner,
+    backend: Checker,
+    settings: dict[str, Any],
+    stop: Callable[[], bool] | None = None,
+) -> Plan:
+    """One search in this process, with settings that were checked."""
     warm_up(type(method))
     began = perf_counter()
-    if bound is not None:
-        bound = as_scalar("bound", bound, low=0.0, high=1.0)
-    as_option("dependence", dependence, DEPENDENCE)
-    time_limit = as_scalar("time_limit", time_limit, low=0.0)
-    if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**31:
-        raise InputError(f"seed: expected an integer in [0, 2^31), got {seed!r}")
+    bound, dependence = settings["bound"], settings["dependence"]
+    limits = [math.inf if settings[name] is None else settings[name] for name in ("step_bound", "agent_bound")]
     # a search that overstates risk by a hundredth of the bound loses next to nothing and gains half of its time
-    resolution = 1e-6 if bound is None else max(1e-2 * bound, 1e-30)
-    evaluator = RiskEvaluator(scenario.agents, scenario.ego, chosen, scenario.times, dependence, resolution)
-    problem = Problem(scenario, evaluator)
-    name = planner if isinstance(planner, str) else type(planner).__name__.lower()
-    settings = {
-        "planner": name,
-        "planner_options": _plain(method),
-        "checker": chosen.info.name,
-        "checker_options": _plain(chosen),
-        "bound": bound,
-        "dependence": dependence,
-        "time_limit": time_limit,
-        "seed": seed,
-    }
+    least = min(math.inf if bound is None else bound, *limits)
+    resolution = max(1e-2 * least, 1e-30) if least < math.inf else 1e-6
+    fixed = (scenario.agents, scenario.ego, backend, scenario.times, dependence, resolution)
+    problem = Problem(scenario, make_evaluator(*fixed, *limits))
     refusal = _refusal(problem, bound)
     if refusal:
         return _no_plan(*refusal, bound, settings, {"preparation": perf_counter() - began})
-    budget = Budget(bound, time_limit, stop)
+    budget = Budget(bound, settings["time_limit"], stop, settings["iterations"])
     prepared = perf_counter()
-    found = method.search(problem, budget, seed)
+    found = method.search(problem, budget, settings["seed"])
     searched = perf_counter()
     stats = {
         **found.counters,
+        "iterations": budget.iterations,
+        "ended_by": budget.ended_by,
         "preparation": prepared - began,
         "search": searched - prepared,
         "lowest_risk_seen": min(found.lowest_seen, 1.0) if np.isfinite(found.lowest_seen) else None,
     }
     return _judged(problem, found, bound, settings, stats)
+
+
+def _in_continuous_time(found: Plan, wide: Inflated, asked: dict[str, Any]) -> Plan:
+    """The plan made for larger bodies, stating the risk at all times."""
+    bound = asked["bound"]
+    stats = {**found.stats, "inflation_ego": list(wide.ego), "inflation_agents": wide.agents.tolist()}
+    settings = {**asked, "between_steps": "inflated"}
+    told = replace(found, bound=bound, settings=settings, stats=stats, risk=wide.stated(found.risk))
+    if not told.solved:
+        return told
+    within = "" if bound is None else f", within {bound:g}"
+    reached = f"reached the goal after {found.times[-1]:.1f} s at risk {_text(told.risk)} at all times{within}"
+    return replace(told, message=reached)
+
+
+def _settings(planner: str | Planner, method: Planner, backend: Checker, given: dict[str, Any]) -> dict[str, Any]:
+    """All that was asked for, checked, as a plan carries it."""
+    out: dict[str, Any] = {
+        "planner": planner if isinstance(planner, str) else type(planner).__name__.lower(),
+        "planner_options": _plain(method),
+        "checker": backend.info.name,
+        "checker_options": _plain(backend),
+    }
+    for name in ("bound", "step_bound", "agent_bound"):
+        out[name] = None if given[name] is None else as_scalar(name, given[name], low=0.0, high=1.0)
+    out["dependence"] = as_option("dependence", given["dependence"], PATH_DEPENDENCE)
+    out["time_limit"] = as_scalar("time_limit", given["time_limit"], low=0.0)
+    for name, least, most in (("seed", 0, 2**31), ("iterations", 1, 2**63), ("workers", 1, 257)):
+        value = given[name]
+        if value is None and name == "iterations":
+            pass
+        elif not isinstance(value, int) or isinstance(value, bool) or not least <= value < most:
+            ends = (
+                f"in [{least}, 2^31)"
+                if name == "seed"
+                else f">= {least}" + (" and <= 256" if name == "workers" else "")
+            )
+            raise InputError(f"{name}: expected an integer {ends}, got {value!r}")
+        out[name] = value
+    return out
 
 
 def _refusal(problem: Problem, bound: float | None) -> tuple[str, str] | None:
@@ -156,17 +234,20 @@ def _refusal(problem: Problem, bound: float | None) -> tuple[str, str] | None:
             "start_in_obstacle",
             f"the body at the start ({s.start.x:g}, {s.start.y:g}) is not free of the static world",
         )
-    if not reachable_regions(s, problem.world):
+    if not goal_reachable(s, problem.world, problem.goal):
         return (
             "goal_in_obstacle",
             "no goal region has a part that is within bounds and free of the static world",
         )
-    at_start, _ = problem.evaluator.judge(np.array([problem.start_state[:3]]))
-    if bound is not None and at_start is not None and not at_start.total <= bound:
-        return "start_at_risk", f"the risk at the start is {_text(at_start)}, above the bound {bound:g}"
+    # a charge is never below the judged value
+    if not problem.start_total <= (np.inf if bound is None else bound):
+        at_start, _ = problem.evaluator.judge(np.array([problem.start_state[:3]]))
+        broken = problem.evaluator.broken(at_start, bound)
+        if broken:
+            return "start_at_risk", f"the risk at the start is {_text(at_start)} {broken}"
     if problem.goal.latest < problem.goal.earliest:
         return "goal_unreachable", "no time of the planning grid within the horizon lies in the goal's time window"
-    if goal_too_far(s):
+    if goal_too_far(s, problem.goal):
         return (
             "goal_unreachable",
             "no goal region is within reach of the vehicle inside the time window and horizon",
@@ -190,7 +271,7 @@ def _judged(
             else "no way to the goal was seen"
         )
         message = (
-            f"no plan within {'reach' if bound is None else f'the bound {bound:g}'} in {stats['search']:.2f} s; {why}"
+            f"no plan within {_bounds(settings)} in {stats['search']:.2f} s, {stats['iterations']} iterations; {why}"
         )
         return replace(_no_plan("no_plan_found", message, bound, settings, stats), search=found.edges)
     began = perf_counter()
@@ -198,8 +279,9 @@ def _judged(
     risk, marginals = problem.evaluator.judge(poses)
     stats["judging"] = perf_counter() - began
     total = 0.0 if risk is None else float(risk.total)
-    if bound is not None and not total <= bound:
-        message = f"a trajectory was found but judged at risk {total:.6g}, above the bound {bound:g}"
+    broken = problem.evaluator.broken(risk, bound)
+    if broken:
+        message = f"a trajectory was found but judged at risk {total:.6g} {broken}"
         stats["lowest_risk_seen"] = total
         return replace(_no_plan("no_plan_found", message, bound, settings, stats), search=found.edges)
     stated = "" if bound is None else f", within {bound:g}"
@@ -208,6 +290,7 @@ def _judged(
         times=s.times[: len(poses)],
         poses=poses,
         speeds=found.states[:, 3].copy(),
+        steering=found.states[:, 4].copy() if found.states.shape[1] > 4 else np.zeros(len(poses)),
         risk=risk,
         marginals=marginals,
         bound=bound,
@@ -216,6 +299,13 @@ def _judged(
         stats=stats,
         search=found.edges,
     )
+
+
+def _bounds(settings: dict[str, Any]) -> str:
+    """The bounds that are set, in words."""
+    named = (("bound", ""), ("step_bound", " per step"), ("agent_bound", " per agent"))
+    parts = [f"{settings[name]:g}{of}" for name, of in named if settings[name] is not None]
+    return f"the bound {', '.join(parts)}" if parts else "reach"
 
 
 def _text(risk: TrajectoryRisk | None) -> str:

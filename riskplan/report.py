@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
-from checkers import Checker, EgoShape, InputError, Kind, TrajectoryRisk, checker
+from checkers import Checker, EgoShape, GaussianMixturePrediction, InputError, Kind, TrajectoryRisk, checker
+from checkers import checkers as registered
 from checkers.backends.monte_carlo import clopper_pearson
-from checkers.kernels.whiten import pack_pieces
+from checkers.kernels.path import FIXED
+from checkers.packing import pack_pieces
+from checkers.path import headings_for, shape_against
+from checkers.resample import single_mode
 from checkers.validate import Array
-from riskplan.evaluator import RiskEvaluator, circumradius
-from riskplan.kernels.sampled import hits_any
+from riskplan.between_steps import for_all_times
+from riskplan.futures import make_evaluator
+from riskplan.kernels.sampled import hits_any, hits_turning
+from riskplan.packing import circumradius
 from riskplan.result import CheckerVerdict, Plan, Report, SampledRisk
 from riskplan.scene import Agent, Scenario
 
@@ -50,10 +57,17 @@ def audit(
         raise InputError(f"monte_carlo: expected an integer >= 0, got {monte_carlo!r}")
     dependence = str(plan.settings.get("dependence", "independent"))
     backends = [c if isinstance(c, Checker) else checker(c) for c in checkers]
+    wide = for_all_times(scenario, plan.settings) if plan.settings.get("between_steps") == "inflated" else None
+    scenario = scenario if wide is None else wide.scenario
     verdicts = tuple(_verdict(b, plan, scenario, dependence) for b in backends)
+    if wide is not None:  # sampling, on the grid too, has nothing to add
+        verdicts = tuple(replace(v, risk=wide.stated(v.risk)) for v in verdicts)
     sampled = None
     if monte_carlo and scenario.agents:
-        sampled = sample_risk(plan.poses, plan.times, scenario.agents, scenario.ego, monte_carlo, seed)
+        exact_shape = dependence == "persistent"
+        sampled = sample_risk(
+            plan.poses, plan.times, scenario.agents, scenario.ego, monte_carlo, seed, exact_shape=exact_shape
+        )
     stated = [v.risk for v in verdicts if v.risk is not None and v.kind != Kind.ESTIMATE.value]
     stated += [plan.risk] if plan.risk is not None and plan.risk.kind is not Kind.ESTIMATE else []
     within = None
@@ -68,7 +82,22 @@ def audit(
         within_bound=within,
         consistent=sampled is None or not any(sampled.interval[0] > float(r.total) for r in stated),
         stats=plan.stats,
+        spending=_spending(plan, scenario, dependence, backends),
     )
+
+
+def _spending(plan: Plan, scenario: Scenario, dependence: str, backends: Sequence[Checker]) -> Array:
+    """(T, A) how the budget is spent along the plan, by the checker that planned; (T, 0) if that is not at hand."""
+    name, options = str(plan.settings.get("checker", "exact")), dict(plan.settings.get("checker_options", {}))
+    own = [b for b in backends if b.info.name == name]
+    if not own and name in registered():
+        own = [checker(name, **options)]
+    if not scenario.agents or not own:
+        return np.zeros((len(plan.times), 0))
+    try:
+        return make_evaluator(scenario.agents, scenario.ego, own[0], scenario.times, dependence).spending(plan.poses)
+    except InputError:  # agents that this checker cannot read; its verdict tells
+        return np.zeros((len(plan.times), 0))
 
 
 def sample_risk(
@@ -79,8 +108,13 @@ def sample_risk(
     samples: int,
     seed: int,
     confidence: float = _CONFIDENCE,
+    *,
+    exact_shape: bool = False,
 ) -> SampledRisk:
-    """Share of sampled futures in which some agent is inside the shape at some step of the trajectory (S, 3)."""
+    """Share of sampled futures in which some agent is inside the shape at some step of the trajectory (S, 3).
+
+    With `exact_shape` a box is a box and an ellipse turns with the agent; else the pieces that backends see are judged.
+    """
     began = perf_counter()
     rng = np.random.default_rng(seed)
     counts, any_count = np.zeros(len(agents)), 0
@@ -95,9 +129,8 @@ def sample_risk(
             pieces = pack_pieces(*ego.pieces(agent))
             if not covered.any() or _never_near(agent.at(times[covered]), poses[covered], circumradius(pieces)):
                 continue
-            paths = np.ascontiguousarray(agent.at(times[covered]).sample(n, rng))
-            hit = np.zeros(n, dtype=np.bool_)
-            hits_any(paths, np.ascontiguousarray(poses[covered]), pieces, hit)
+            here = np.ascontiguousarray(poses[covered])
+            hit = _hits(agent.at(times[covered]), here, ego if exact_shape else None, pieces, n, rng)
             counts[i] += np.count_nonzero(hit)
             some |= hit
         any_count += int(np.count_nonzero(some))
@@ -117,6 +150,26 @@ def sample_risk(
     )
 
 
+def _hits(
+    agent: Agent, poses: Array, ego: EgoShape | None, pieces: Array, n: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Which of n futures enter the pieces, or the ego's true shape if it is given."""
+    hit = np.zeros(n, dtype=np.bool_)
+    kind, shape = (FIXED, pieces) if ego is None else shape_against(ego, agent)  # type: ignore[arg-type]
+    if kind == FIXED:
+        hits_any(np.ascontiguousarray(agent.sample(n, rng)), poses, shape, hit)
+        return hit
+    assert isinstance(agent, GaussianMixturePrediction)  # noqa: S101  others have no shape that turns
+    headings = headings_for(agent, kind)
+    first = 0
+    # a shape that turns with the agent turns with its mode: modes one by one
+    for k, count in enumerate(rng.multinomial(n, agent.weights)):
+        paths = np.ascontiguousarray(single_mode(agent, k).sample(int(count), rng))
+        hits_turning(kind, shape[0], np.ascontiguousarray(headings[:, k]), paths, poses, hit[first : first + count])
+        first += count
+    return rng.permutation(hit)
+
+
 def _never_near(agent: Agent, poses: Array, reach: float) -> bool:
     """Whether every mode keeps 13 standard deviations off at every step: 1e-38 a step is not worth sampling."""
     spread = np.sqrt(np.linalg.eigvalsh(agent.covariances)[..., 1])
@@ -129,8 +182,10 @@ def _verdict(backend: Checker, plan: Plan, scenario: Scenario, dependence: str) 
     name, kind = backend.info.name, backend.info.kind.value
     if not scenario.agents:
         return CheckerVerdict(name, kind, None, 0.0, "no agents")
-    evaluator = RiskEvaluator(scenario.agents, scenario.ego, backend, scenario.times, dependence)
+    if dependence == "persistent" and name != "exact":
+        dependence = "boole"  # what backends for one step can say where steps depend on each other
     try:
+        evaluator = make_evaluator(scenario.agents, scenario.ego, backend, scenario.times, dependence)
         risk, _ = evaluator.judge(plan.poses)
     except InputError as refusal:
         return CheckerVerdict(name, kind, None, perf_counter() - began, str(refusal))

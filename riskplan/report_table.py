@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import numpy as np
 from rich import box
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
@@ -15,6 +16,7 @@ from checkers import Kind
 from riskplan.result import CheckerVerdict, Plan, Report, SampledRisk
 from riskplan.rounding import by_kind, lower, risk_text, upper
 
+_TIMES = 6  # columns of the budget's spending
 _SIDE_BY_SIDE = 3  # backends in one table at 100 columns
 
 
@@ -37,6 +39,8 @@ def report_view(plan: Plan, report: Report | None, title: str = "") -> Renderabl
             sampled = report.sampled if i == 0 else None
             if verdicts or sampled:
                 parts.append(risk_table(report, verdicts, sampled))
+        if report.spending.size:
+            parts.append(spending_table(report))
         parts += [Text(line) for line in _remarks(report)]
     parts.append(_times(plan, report))
     return Group(*parts)
@@ -62,6 +66,23 @@ def risk_table(report: Report, verdicts: Sequence[CheckerVerdict], sampled: Samp
     for label, ends, pick in _TOTALS:
         cells = [_cell(v, pick, ends) for v in verdicts]
         table.add_row(label, *cells, *(_sampled(sampled, None) if label == "total" else ()))
+    return table
+
+
+def spending_table(report: Report) -> Table:
+    """How the budget is spent along the way: a few times across, the risk so far, and who adds most to it."""
+    steps = np.unique(np.linspace(0, len(report.spending) - 1, _TIMES).round().astype(int))
+    so_far = report.spending[steps]
+    added = np.diff(so_far, axis=0, prepend=0.0)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    table.add_column("budget spent until")
+    for step in steps:
+        table.add_column(f"{report.times[step]:.1f} s", justify="right", max_width=12, overflow="ellipsis")
+    totals = np.minimum(so_far.sum(axis=1), 1.0)
+    table.add_row("risk so far", *(upper(float(total)) for total in totals))
+    if report.bound:
+        table.add_row("of the bound", *(f"{total / report.bound:.0%}" for total in totals))
+    table.add_row("most added by", *(Text(report.agents[row.argmax()] if row.max() > 0 else "-") for row in added))
     return table
 
 

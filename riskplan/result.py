@@ -10,6 +10,7 @@ import numpy as np
 
 from checkers import TrajectoryRisk
 from checkers.validate import Array
+from riskplan.showing import shown
 
 STATUSES = (
     "solved",
@@ -32,11 +33,13 @@ class Plan:
         speeds: (T,) [m/s].
         risk: judged over `times`, start included; None without a plan or without agents.
         marginals: per agent (T, K): the risk by step and mode, as judged; NaN where an agent's prediction starts later.
+            Of an exact backend, those that change no digit of the total are stated by their bounds Φ(−d).
         bound: the stated bound on `risk.total`, None if the least risk was asked for.
         message: one line for a person.
         settings: planner, checker, dependence, time limit, seed.
         stats: counters and seconds: search, checks, judging, iterations, lowest_risk_seen.
         search: (E, 5) edges of the tree or roadmap, x0, y0, x1, y1, time, for pictures; may be empty.
+        steering: (T,) angles of a vehicle that has one [rad], else 0; None: 0.
     """
 
     status: str
@@ -50,11 +53,19 @@ class Plan:
     settings: Mapping[str, Any] = field(default_factory=dict)
     stats: Mapping[str, Any] = field(default_factory=dict)
     search: Array = field(default_factory=lambda: np.zeros((0, 5)))
+    steering: Array = None  # type: ignore[assignment]  # replaced on construction
+
+    def __post_init__(self) -> None:
+        if self.steering is None:
+            object.__setattr__(self, "steering", np.zeros(len(self.times)))
 
     @property
     def solved(self) -> bool:
         """Whether there is a trajectory within the bound."""
         return self.status == "solved"
+
+    def _repr_html_(self) -> str:
+        return shown(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +124,7 @@ class Report:
         within_bound: whether the plan's own judged total is within it; None without a bound.
         consistent: no sampled interval lies above a total that claims to be exact or a bound.
         stats: the plan's counters and seconds, checks per second included.
+        spending: (T, A) risk of each agent up to and with each step, by the plan's own checker; (T, 0) without agents.
     """
 
     agents: tuple[str, ...]
@@ -123,3 +135,7 @@ class Report:
     within_bound: bool | None
     consistent: bool
     stats: Mapping[str, Any] = field(default_factory=dict)
+    spending: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def _repr_html_(self) -> str:
+        return shown(self)

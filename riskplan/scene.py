@@ -3,34 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from checkers import EgoCover, EgoShape, GaussianMixturePrediction, InputError, MomentPrediction
-from checkers.validate import Array, as_array, as_scalar
+from checkers import ControlPrediction, EgoShape, InputError, Prediction
+from checkers.validate import FARTHEST, Array, as_array, as_scalar
+from riskplan.showing import shown
+from riskplan.vehicles import Vehicle, vehicle_class
 
 if TYPE_CHECKING:
     from riskplan.world import StaticWorld
 
-Agent = GaussianMixturePrediction | MomentPrediction
+Agent = Prediction
+MOST_STEPS = 100_000  # of a grid
+MOST_TOUCHING = 1024  # vertices of a polygon that touches itself: checked pair by pair
+_ROWS = 256
 
 
 @dataclass(frozen=True)
 class State:
-    """Pose and speed of the ego's centre: x, y [m], heading [rad], speed [m/s] ≥ 0."""
+    """State of the ego's centre: x, y [m], heading [rad], speed [m/s], steering angle [rad] of a vehicle that has one.
+
+    A speed is negative in reverse, for vehicles that can.
+    """
 
     x: float
     y: float
     heading: float
     speed: float = 0.0
+    steering: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("x", "y", "heading"):
-            object.__setattr__(self, name, as_scalar(f"start.{name}", getattr(self, name)))
-        object.__setattr__(self, "speed", as_scalar("start.speed", self.speed, low=0.0))
+        for name in self.__dataclass_fields__:
+            value = as_scalar(f"start.{name}", getattr(self, name), low=-FARTHEST, high=FARTHEST)
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,31 +105,6 @@ class Goal:
         return cls((GoalRegion(ring + centre, heading, heading_tolerance, speed),), time)
 
 
-@dataclass(frozen=True)
-class KinematicCar:
-    """Size and limits of the ego: a point moving along its heading with bounded acceleration and curvature.
-
-    Attributes:
-        length, width: of the body, for static obstacles and pictures [m].
-        max_acceleration, max_deceleration: [m/s²], both positive.
-        max_curvature: [1/m].
-        max_speed: [m/s].
-        max_lateral_acceleration: limit of speed² × curvature [m/s²].
-    """
-
-    length: float = 4.5
-    width: float = 1.8
-    max_acceleration: float = 4.0
-    max_deceleration: float = 8.0
-    max_curvature: float = 0.2
-    max_speed: float = 40.0
-    max_lateral_acceleration: float = 5.0
-
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            object.__setattr__(self, name, as_scalar(f"vehicle.{name}", getattr(self, name), low=0.0, strict=True))
-
-
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """One planning problem on the time grid 0, time_step, …, horizon.
@@ -131,8 +115,8 @@ class Scenario:
         bounds: (x_min, y_min, x_max, y_max) of the centre [m].
         obstacles: polygons (N, 2) the body must not touch.
         agents: predictions; each must cover the grid from its second time on (time 0 too, if it shall count there).
-        ego: shape for the risk; None: `default_ego`.
-        vehicle: limits and body of the ego.
+        ego: shape for the risk; None: the vehicle's own, see `Vehicle.shape`.
+        vehicle: limits, motion and body of the ego; None: a `KinematicCar`.
         time_step: of the planning grid [s].
         horizon: latest arrival [s], a whole number of steps; None: as long as the agents are predicted.
         drivable: polygons (N, 2) whose union the body must stay in; empty: everywhere.
@@ -149,7 +133,7 @@ class Scenario:
     obstacles: tuple[Array, ...] = ()
     agents: tuple[Agent, ...] = ()
     ego: EgoShape = None  # type: ignore[assignment]  # replaced on construction
-    vehicle: KinematicCar = field(default_factory=KinematicCar)
+    vehicle: Vehicle = None  # type: ignore[assignment]  # replaced on construction
     time_step: float = 0.1
     horizon: float | None = None
     drivable: tuple[Array, ...] = ()
@@ -158,28 +142,38 @@ class Scenario:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        for name, cls in (("start", State), ("goal", Goal), ("vehicle", KinematicCar)):
-            if not isinstance(getattr(self, name), cls):
-                raise InputError(f"{name}: expected a {cls.__name__}, got {getattr(self, name)!r}")
-        bounds = tuple(float(b) for b in as_array("bounds", self.bounds, (4,)))
+        if self.vehicle is None:
+            put(self, "vehicle", vehicle_class("car")())
+        if not isinstance(self.vehicle, Vehicle):
+            raise InputError(f"vehicle: expected a Vehicle, got {self.vehicle!r}")
+        bounds = tuple(float(b) for b in as_array("bounds", self.bounds, (4,), largest=FARTHEST))
         if bounds[0] >= bounds[2] or bounds[1] >= bounds[3]:
             raise InputError(f"bounds: expected x_min < x_max and y_min < y_max, got {list(bounds)}")
         put(self, "bounds", bounds)
-        s = self.start
-        if not (bounds[0] <= s.x <= bounds[2] and bounds[1] <= s.y <= bounds[3]):
-            raise InputError(f"start: ({s.x:g}, {s.y:g}) lies outside the bounds {list(bounds)}")
         for name in ("obstacles", "drivable"):
             check = _simple_polygon if name == "obstacles" else _polygon
             put(self, name, tuple(check(f"{name}[{i}]", p) for i, p in enumerate(getattr(self, name))))
         put(self, "lanes", tuple(_line(f"lanes[{i}]", p) for i, p in enumerate(self.lanes)))
+        put(self, "time_step", as_scalar("time_step", self.time_step, low=1e-3))
+        put(self, "ego", self.ego if self.ego is not None else self.vehicle.shape())
+        self._check_task()
+
+    def _check_task(self) -> None:
+        """What changes from plan to plan in one place: start, goal, agents, horizon."""
+        put = object.__setattr__
+        for name, cls in (("start", State), ("goal", Goal)):
+            if not isinstance(getattr(self, name), cls):
+                raise InputError(f"{name}: expected a {cls.__name__}, got {getattr(self, name)!r}")
+        self.vehicle.check_state(self.start.speed, self.start.steering)
+        s, bounds = self.start, self.bounds
+        if not (bounds[0] <= s.x <= bounds[2] and bounds[1] <= s.y <= bounds[3]):
+            raise InputError(f"start: ({s.x:g}, {s.y:g}) lies outside the bounds {list(bounds)}")
         agents = tuple(self.agents)
         for i, agent in enumerate(agents):
-            if not isinstance(agent, GaussianMixturePrediction | MomentPrediction):
+            if not isinstance(agent, Agent):
                 raise InputError(f"agents[{i}]: expected a prediction, got {type(agent).__name__}")
         put(self, "agents", agents)
-        put(self, "time_step", as_scalar("time_step", self.time_step, low=1e-3))
         put(self, "horizon", self._checked_horizon())
-        put(self, "ego", self.ego if self.ego is not None else default_ego(self.vehicle))
 
     @cached_property
     def world(self) -> StaticWorld:
@@ -190,9 +184,20 @@ class Scenario:
 
     def with_agents(self, agents: Sequence[Agent]) -> Scenario:
         """The same scene with other agents or predictions; the packed static world is shared."""
-        other = replace(self, agents=tuple(agents))
-        if "world" in self.__dict__:
-            other.__dict__["world"] = self.__dict__["world"]
+        return self.with_task(agents=tuple(agents))
+
+    def with_task(self, **changed: Any) -> Scenario:
+        """The same place with another `start`, `goal`, `agents` or `horizon`; the packed static world is shared.
+
+        Raises:
+            InputError: as on construction.
+        """
+        for name in changed:
+            if name not in ("start", "goal", "agents", "horizon"):
+                raise InputError(f"{name}: expected one of start, goal, agents, horizon; got another field")
+        other = object.__new__(Scenario)
+        other.__dict__.update({**self.__dict__, **changed})
+        other._check_task()
         return other
 
     def _checked_horizon(self) -> float:
@@ -200,7 +205,9 @@ class Scenario:
         if self.horizon is None and not ends:
             raise InputError("horizon: expected a number, as there are no agents to take it from")
         wanted = min(ends) if self.horizon is None else as_scalar("horizon", self.horizon)
-        steps = int(np.floor(wanted / self.time_step + 1e-6))
+        steps = int(min(np.floor(wanted / self.time_step + 1e-6), MOST_STEPS + 1))
+        if steps > MOST_STEPS:
+            raise InputError(f"horizon: expected at most {MOST_STEPS} steps of {self.time_step:g} s, got {wanted:g} s")
         if steps < 1:
             raise InputError(f"horizon: expected at least one step of {self.time_step:g} s, got {wanted:g} s")
         if self.horizon is not None and abs(steps * self.time_step - wanted) > 1e-6:
@@ -211,6 +218,12 @@ class Scenario:
                     f"agents[{i}].times: expected to cover {self.time_step:g} to {steps * self.time_step:g} s, "
                     f"got {agent.times[0]:g} to {agent.times[-1]:g} s"
                 )
+            if isinstance(agent, ControlPrediction):  # moments could be interpolated, futures could not
+                grid = np.arange(steps + 1) * self.time_step
+                try:
+                    agent.at(grid[grid >= agent.times[0] - 1e-6])
+                except InputError as error:
+                    raise InputError(f"time_step {self.time_step:g} s: agents[{i}].{error}") from None
         return steps * self.time_step
 
     @property
@@ -223,14 +236,12 @@ class Scenario:
         """(steps + 1,) grid times from 0 [s]."""
         return np.arange(self.steps + 1, dtype=np.float64) * self.time_step
 
-
-def default_ego(vehicle: KinematicCar) -> EgoShape:
-    """Six discs around the Minkowski sum of the vehicle and each agent's own size, at any heading."""
-    return EgoCover.discs(vehicle.length, vehicle.width)
+    def _repr_html_(self) -> str:
+        return shown(self)
 
 
 def _polygon(name: str, value: Any) -> Array:
-    polygon = as_array(name, value, ("N", 2))
+    polygon = as_array(name, value, ("N", 2), largest=FARTHEST)
     if len(polygon) < 3:
         raise InputError(f"{name}: expected at least 3 vertices, got {len(polygon)}")
     return polygon
@@ -244,16 +255,35 @@ def _simple_polygon(name: str, value: Any) -> Array:
     area = 0.5 * np.sum(_cross(centred, np.roll(centred, -1, axis=0)))
     if not abs(area) > 1e-12 * np.ptp(polygon, axis=0).max() ** 2:
         raise InputError(f"{name}: expected a simple polygon with an area, got one of no area")
+    if len(polygon) > _ROWS:
+        from shapely import LinearRing  # noqa: PLC0415  costs import time
+
+        if LinearRing(polygon).is_simple:  # a sweep: n log n, where the pairs below are n²
+            return polygon
     side = end - start
-    # proper crossings of edge i with edge j: each edge's ends lie strictly on different sides of the other
-    first = _cross(side[:, None], start[None] - start[:, None])
-    second = _cross(side[:, None], end[None] - start[:, None])
-    apart = first * second < 0
-    crossing = np.argwhere(apart & apart.T)
-    if len(crossing):
-        i, j = (int(k) for k in crossing[0])
-        raise InputError(f"{name}: expected a simple polygon with an area, got edges {i} and {j} that cross")
+    if len(polygon) == 4:
+        # maps have many: a convex one crosses nowhere
+        bends = _cross(side, np.roll(side, -1, axis=0))
+        if (bends > 0).all() or (bends < 0).all():
+            return polygon
+    for first in range(0, len(polygon), _ROWS):  # some rows at a time: memory stays small
+        rows = slice(first, first + _ROWS)
+        crossing = np.argwhere(
+            _apart(start[rows, None], side[rows, None], start, end)
+            & _apart(start, side, start[rows, None], end[rows, None])
+        )
+        if len(crossing):
+            i, j = first + int(crossing[0, 0]), int(crossing[0, 1])
+            raise InputError(f"{name}: expected a simple polygon with an area, got edges {i} and {j} that cross")
+        if first >= MOST_TOUCHING:
+            raise InputError(f"{name}: touches itself; expected at most {MOST_TOUCHING} vertices, got {len(polygon)}")
     return polygon
+
+
+def _apart(start: Array, side: Array, a: Array, b: Array) -> np.ndarray:
+    """Whether a and b lie strictly on different sides of the line of an edge; both ways round: a proper crossing."""
+    apart: np.ndarray = _cross(side, a - start) * _cross(side, b - start) < 0
+    return apart
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -261,7 +291,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _line(name: str, value: Any) -> Array:
-    line = as_array(name, value, ("N", 2))
+    line = as_array(name, value, ("N", 2), largest=FARTHEST)
     if len(line) < 2:
         raise InputError(f"{name}: expected at least 2 points, got {len(line)}")
     return line

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from time import perf_counter
 from typing import Any, Protocol
@@ -19,10 +19,18 @@ from riskplan.world import PackedGoal, StaticWorld, pack_goal
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A scenario with everything precomputed that a search reads."""
+    """A scenario with everything precomputed that a search reads.
+
+    Attributes:
+        scenario: what is planned for.
+        evaluator: of its agents.
+        begun: (S, 5) states after the start on the grid, x, y, heading, speed, steering, that a search may begin from
+            too, driven from the start one after the other: what is left of an earlier plan.
+    """
 
     scenario: Scenario
     evaluator: RiskEvaluator
+    begun: Array = field(default_factory=lambda: np.zeros((0, 5)))
 
     @property
     def world(self) -> StaticWorld:
@@ -45,6 +53,11 @@ class Problem:
         s = self.scenario.start
         return s.x, s.y, s.heading, s.speed
 
+    @property
+    def start_node(self) -> tuple[float, float, float, float, float]:
+        """x, y, heading, speed, steering."""
+        return *self.start_state, self.scenario.start.steering
+
     @cached_property
     def _start(self) -> tuple[Array, float]:
         return self.evaluator.start(np.array(self.start_state[:3]))
@@ -61,42 +74,69 @@ class Problem:
 
     def goal_samples(self, rng: np.random.Generator, count: int) -> Array:
         """(count, 5) x, y, heading, speed, time in the goal regions' boxes: directions to pull, not promises."""
-        s = self.scenario
-        regions = [s.goal.regions[i] for i in rng.integers(len(s.goal.regions), size=count)]
-        low = np.array([r.polygon.min(axis=0) for r in regions])
-        high = np.array([r.polygon.max(axis=0) for r in regions])
+        s, goal = self.scenario, self.goal
+        which = rng.integers(len(goal.boxes), size=count)
+        boxes, (wanted, _, slowest, fastest) = goal.boxes[which], goal.terms[which].T
         any_heading = rng.uniform(-np.pi, np.pi, count)
-        heading = np.array([a if r.heading is None else r.heading for r, a in zip(regions, any_heading, strict=True)])
-        top = max(s.vehicle.max_speed, s.start.speed)
-        slow, fast = (np.minimum([r.speed[i] for r in regions], top) for i in range(2))
-        steps = rng.uniform(self.goal.earliest, max(self.goal.latest, self.goal.earliest), count)
+        heading = np.where(np.isnan(wanted), any_heading, wanted)
+        top = max(s.vehicle.top_speed, s.start.speed)
+        steps = rng.uniform(goal.earliest, max(goal.latest, goal.earliest), count)
         return np.column_stack(
             [
-                rng.uniform(low, high),
+                rng.uniform(boxes[:, :2], boxes[:, 2:]),
                 (heading + np.pi) % (2 * np.pi) - np.pi,
-                rng.uniform(slow, fast),
+                rng.uniform(np.minimum(slowest, top), np.minimum(fastest, top)),
                 steps * s.time_step,
             ]
         )
 
 
 class Budget:
-    """How much risk and time a search may still spend; shared by reference with the callbacks of one search.
+    """How much risk, time and work a search may still spend; shared by reference with the callbacks of one search.
 
     With a bound the first arrival within it ends the search. Without one every arrival lowers the limit, and the
-    search goes on until the time is up.
+    search goes on until its time or its iterations are used up.
+
+    Attributes:
+        bound: stated for the total risk; limit: what a search may go up to at present.
+        iterations: done so far; a motion of a tree, a label of a roadmap, or a vertex of one.
+        counted: whether iterations are limited: then no decision may depend on the clock.
+        ended_by: "plan", "time", "iterations" or "stop".
     """
 
-    def __init__(self, bound: float | None, time_limit: float, stop: Callable[[], bool] | None = None) -> None:
+    def __init__(
+        self,
+        bound: float | None,
+        time_limit: float,
+        stop: Callable[[], bool] | None = None,
+        iterations: int | None = None,
+    ) -> None:
         self.bound = bound
         # agents are summed uncapped: where any risk will do, totals above 1 will too
         self.limit = np.inf if bound is None or bound >= 1.0 else bound
+        self.iterations, self.counted, self.ended_by = 0, iterations is not None, "plan"
+        self._most = np.inf if iterations is None else iterations
         self._end = perf_counter() + time_limit
         self._stop = stop
 
+    def over(self) -> bool:
+        """Whether the search has to end before its next iteration, which is counted."""
+        if self.expired():
+            return True
+        self.iterations += 1
+        return False
+
     def expired(self) -> bool:
-        """Whether the time is up, or someone asked to stop."""
-        return perf_counter() > self._end or (self._stop is not None and self._stop())
+        """Whether time or iterations are used up, or someone asked to stop."""
+        if self.iterations >= self._most:
+            self.ended_by = "iterations"
+        elif perf_counter() > self._end:
+            self.ended_by = "time"
+        elif self._stop is not None and self._stop():
+            self.ended_by = "stop"
+        else:
+            return False
+        return True
 
     def left(self) -> float:
         """Seconds left."""
@@ -115,7 +155,8 @@ class SearchResult:
     """What a search found.
 
     Attributes:
-        states: (T, 4) x, y, heading, speed on the grid, start included; None if the goal was not reached in budget.
+        states: (T, 4) x, y, heading, speed on the grid, or (T, 5) with the steering angle, start included; None if the
+            goal was not reached in budget.
         lowest_seen: least total risk of any arrival seen, also above the bound; infinite if there was none.
         counters: of the planner.
         edges: (E, 5) of tree or roadmap: x0, y0, x1, y1, time.

@@ -11,7 +11,7 @@ from shapely.geometry.base import BaseGeometry
 
 from checkers.validate import Array
 from riskplan.kernels import world as hot
-from riskplan.scene import GoalRegion, Scenario, State
+from riskplan.scene import Scenario, State
 
 _CELL = 2.0
 _MOST_CELLS = 250_000
@@ -32,7 +32,7 @@ class StaticWorld:
         if not s.drivable and not s.obstacles:
             return None
         # the body reaches over the bounds of its centre
-        margin = np.hypot(s.vehicle.length, s.vehicle.width)
+        margin = np.hypot(*s.vehicle.body)
         box = shapely.box(*s.bounds).buffer(margin, join_style="mitre")
         area: BaseGeometry = box
         if s.drivable:
@@ -45,10 +45,25 @@ class StaticWorld:
         return shapely.union_all([part for part in shapely.get_parts(area) if part.geom_type == "Polygon"])
 
     @cached_property
+    def centres(self) -> BaseGeometry:
+        """Where the centre may be at most, as a prepared polygon: allowed and within the bounds."""
+        area: BaseGeometry = shapely.box(*self.scenario.bounds)
+        if self.allowed is not None:
+            area = self.allowed.intersection(area)
+        shapely.prepare(area)
+        return area
+
+    @cached_property
+    def lanes(self) -> Array:
+        """Lane pieces, see `lane_segments`."""
+        return lane_segments(self.scenario)
+
+    @cached_property
     def packed(self) -> tuple[object, ...]:
         """Arguments of `kernels.world.body_free` after the pose."""
         s = self.scenario
-        half = (0.5 * s.vehicle.length, 0.5 * s.vehicle.width)
+        length, width = s.vehicle.body
+        half = (0.5 * length, -1.0 if s.vehicle.disc else 0.5 * width)
         bounds = np.array(s.bounds)
         segments = _boundary(self.allowed)
         if not len(segments):
@@ -88,6 +103,18 @@ class PackedGoal:
         """Arguments of `kernels.world.goal_region` after the state."""
         return self.start, self.vertices, self.boxes, self.terms
 
+    def distances(self, points: Array) -> Array:
+        """(N,) straight distances of points (N, 2) to the nearest region [m], 0 inside."""
+        out = np.empty(len(points))
+        hot.goal_distances(np.ascontiguousarray(points), self.start, self.vertices, self.boxes, out)
+        return out
+
+    def box_distances(self, points: Array) -> Array:
+        """(N,) distances of points (N, 2) to the nearest region's bounding box [m]: never above `distances`."""
+        beyond = np.maximum(self.boxes[:, :2] - points[:, None], points[:, None] - self.boxes[:, 2:])
+        nearest: Array = np.hypot(*np.moveaxis(np.maximum(beyond, 0.0), -1, 0)).min(axis=1)
+        return nearest
+
     def holds(self, x: float, y: float, heading: float, speed: float) -> bool:
         """Whether some region holds the state."""
         return bool(hot.goal_region(x, y, heading, speed, *self.arrays) >= 0)
@@ -98,33 +125,37 @@ def pack_goal(scenario: Scenario) -> PackedGoal:
     regions = scenario.goal.regions
     low, high = scenario.goal.time
     step = scenario.time_step
+    start = np.concatenate([[0], np.cumsum([len(r.polygon) for r in regions])])
+    vertices = np.concatenate([r.polygon for r in regions])
+    ends = np.minimum.reduceat(vertices, start[:-1]), np.maximum.reduceat(vertices, start[:-1])
     return PackedGoal(
-        np.concatenate([[0], np.cumsum([len(r.polygon) for r in regions])]),
-        np.concatenate([r.polygon for r in regions]),
-        np.array([[*r.polygon.min(axis=0), *r.polygon.max(axis=0)] for r in regions]),
-        np.array([[np.nan if r.heading is None else r.heading, r.heading_tolerance, *r.speed] for r in regions]),
+        start,
+        vertices,
+        np.concatenate(ends, axis=1),
+        np.array([(np.nan if r.heading is None else r.heading, r.heading_tolerance, *r.speed) for r in regions]),
         int(np.ceil(low / step - 1e-6)),
         int(min(np.floor(high / step + 1e-6), scenario.steps)),
     )
 
 
-def reachable_regions(scenario: Scenario, world: StaticWorld) -> list[GoalRegion]:
-    """Goal regions of which some part is inside the bounds and, as far as the centre goes, allowed."""
-    area: BaseGeometry = shapely.box(*scenario.bounds)
-    if world.allowed is not None:
-        area = world.allowed.intersection(area)
-    return [r for r in scenario.goal.regions if area.intersects(shapely.Polygon(r.polygon).buffer(0))]
+def goal_reachable(scenario: Scenario, world: StaticWorld, goal: PackedGoal) -> bool:
+    """Whether some part of a goal region is inside the bounds and, as far as the centre goes, allowed."""
+    corners = goal.vertices[goal.start[:-1]]  # of a region: one that is allowed answers for all
+    if shapely.contains_xy(world.centres, corners[:, 0], corners[:, 1]).any():
+        return True
+    regions = [shapely.Polygon(r.polygon) for r in scenario.goal.regions]
+    return bool(shapely.intersects(world.centres, regions).any())
 
 
-def goal_too_far(scenario: Scenario) -> bool:
+def goal_too_far(scenario: Scenario, goal: PackedGoal) -> bool:
     """Whether no goal region can be reached by full acceleration within the time window, by straight distance."""
     s, v = scenario.start, scenario.vehicle
     time = min(scenario.goal.time[1], float(scenario.horizon or 0.0))
-    top = max(v.max_speed, s.speed)
-    ramp = min(time, max(v.max_speed - s.speed, 0.0) / v.max_acceleration)
-    reach = s.speed * ramp + 0.5 * v.max_acceleration * ramp**2 + top * (time - ramp)
-    here = shapely.Point(s.x, s.y)
-    return all(here.distance(shapely.Polygon(r.polygon).buffer(0)) > reach + 1e-6 for r in scenario.goal.regions)
+    speed = abs(s.speed)
+    top = max(v.top_speed, speed)
+    ramp = min(time, max(v.top_speed - speed, 0.0) / v.top_acceleration)
+    reach = speed * ramp + 0.5 * v.top_acceleration * ramp**2 + top * (time - ramp)
+    return float(goal.distances(np.array([[s.x, s.y]]))[0]) > reach + 1e-6
 
 
 def start_is_free(world: StaticWorld, start: State) -> bool:

@@ -36,6 +36,12 @@ def is_sampling(backend):
     return backend.info.kind is Kind.ESTIMATE
 
 
+def exactness(backend):
+    """How far a change of frame may show: in the last digits, or in those of an interior-point solver."""
+    solver = backend.kernel == 0 and not is_sampling(backend)
+    return {"rtol": 3e-4, "atol": 1e-6} if solver else {"rtol": 1e-9, "atol": 0}
+
+
 def takes_moments(backend):
     return backend.moments_needed > 0
 
@@ -138,9 +144,7 @@ def test_invariant_under_translation_and_rotation(backend):
     grid = 2.0**-20  # and multiples of a power of two, so that a translation by 1e5 is exact
     poses[:, :2] = np.round(poses[:, :2] / grid) * grid
     before = backend(poses, row(means, covs), EGO).value
-    tolerance = {"rtol": 1e-9, "atol": 0}
-    if backend.kernel == 0 and not is_sampling(backend):
-        tolerance = {"rtol": 1e-4, "atol": 1e-6}  # an interior-point solver
+    tolerance = exactness(backend)
     shift = np.array([1e5, -1e5])
     moved = backend(poses + [*shift, 0.0], row(means + shift, covs), EGO).value
     np.testing.assert_allclose(moved, before, **tolerance)
@@ -156,7 +160,7 @@ def test_full_turns_of_the_heading_change_nothing(backend):
     poses, means, covs = cases(rng, 10, sigma=(0.3, 3.0))
     turned = poses + [0, 0, 2 * np.pi]
     a, b = backend(poses, row(means, covs), EGO), backend(turned, row(means, covs), EGO)
-    np.testing.assert_allclose(a.value, b.value, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(a.value, b.value, **exactness(backend))
 
 
 def test_mean_inside_is_no_error(backend):

@@ -99,7 +99,8 @@ def test_bad_scene(tmp_path, case):
         ("missing.xml", None, "no such file"),
         ("bad.xml", "<commonRoad", "malformed XML"),
         ("other.xml", "<a/>", "not a CommonRoad file"),
-        ("scene.csv", "a", "expected a scenario in one of .yaml, .yml, .xml; got .csv"),
+        ("scene.csv", "a", "not an Argoverse forecasting file"),
+        ("scene.txt", "a", "expected a scenario in one of .yaml, .yml, .xml, .csv, .parquet; got .txt"),
     ],
 )
 def test_bad_file(tmp_path, name, content, expected):
@@ -114,13 +115,13 @@ def test_bad_file(tmp_path, name, content, expected):
 @pytest.mark.parametrize(
     ("args", "expected"),
     [
-        (("--planner", "astar"), "planner: expected one of rrt, prm; got 'astar'"),
-        (("--checker", "magic"), "checker: expected one of exact, imhof, chebyshev"),
-        (("--audit", "exact,magic"), "checker: expected one of exact, imhof, chebyshev"),
+        (("--planner", "astar"), "planner: expected one of rrt, rrt-star, prm; got 'astar'"),
+        (("--checker", "magic"), "checker: expected one of exact, imhof, liu, chebyshev"),
+        (("--audit", "exact,magic"), "checker: expected one of exact, imhof, liu, chebyshev"),
         (("--bound", "2"), "bound: expected a finite number in [0, 1], got 2.0"),
         (("--bound", "nan"), "bound: expected a finite number in [0, 1], got nan"),
         (("--bound", "low"), "argument --bound: invalid risk value: 'low'"),
-        (("--dependence", "some"), "dependence: expected one of independent, boole; got 'some'"),
+        (("--dependence", "some"), "dependence: expected one of independent, persistent, boole; got 'some'"),
         (("--time-limit", "-1"), "time_limit: expected a finite number in [0, inf], got -1.0"),
         (("--seed", "-1"), "seed: expected an integer in [0, 2^31), got -1"),
         (("--monte-carlo", "-1"), "monte_carlo: expected an integer >= 0, got -1"),
@@ -135,7 +136,7 @@ def test_bad_option(capfd, scene, args, expected):
 
 def test_unknown_planner_and_checker_as_a_program(scene):
     for option, valid in (
-        ("--planner", "rrt, prm"),
+        ("--planner", "rrt, rrt-star, prm"),
         ("--checker", ", ".join(rp.checkers())),
     ):
         done = program("plan", scene, option, "magic")
@@ -213,6 +214,20 @@ def test_assess_keeps_the_checker_options_of_the_plan(scene, tmp_path, capfd):
     assert told["report"]["verdicts"][0]["risk"]["total"] == float(plan.risk.total)
 
 
+@pytest.mark.parametrize("planner", ["rrt", "prm"])
+def test_plans_with_errors_that_persist(scene, tmp_path, capfd, planner):
+    out = str(tmp_path / "o")
+    wanted = ["--dependence", "persistent", "--planner", planner, "--bound", "0.3", "--time-limit", "20"]
+    assert main(["plan", str(scene), *wanted, "--monte-carlo", "1000", "--out", out]) == 0
+    note = "riskplan: note: 1 of 1 agents carry no factors: their errors are taken to persist\n"
+    assert capfd.readouterr().err == note
+    assert main(["assess", str(scene), out + "/plan.json", "--json", "--monte-carlo", "0"]) == 0
+    told, err = capfd.readouterr()
+    assert json.loads(told)["reproduced"] is True
+    assert err == note
+    assert json.loads(told)["plan"]["risk"]["dependence"] == "persistent"
+
+
 def test_assess_by_several_checkers(scene, planned, capfd):
     path = planned[0] / "plan.json"
     assert main(["assess", str(scene), str(path), "--checker", "exact,sos", "--checker", "chebyshev", *QUICK[:2]]) == 0
@@ -274,7 +289,7 @@ def test_lists_and_version(capfd):
     with pytest.raises(SystemExit) as end:
         main(["--version"])
     assert end.value.code == 0
-    assert capfd.readouterr().out == f"riskplan {rp.__version__}\n"
+    assert capfd.readouterr().out.startswith(f"riskplan {rp.__version__} (python 3.")
 
 
 def test_demo(tmp_path):

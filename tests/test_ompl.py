@@ -12,15 +12,17 @@ from tests.scenes import overtake
 
 PRELUDE = """
 import numpy as np
-from ompl import base as ob, geometric as og
+import itertools
+from ompl import base as ob, geometric as og, util as ou
 import riskplan as rp
 from tests.scenes import overtake
+ou.RNG.setSeed(1)  # a tree whose time only grows can starve: unlucky seeds find nothing in a minute
 scene = overtake()
 checker = rp.checker("exact")
 """
 
 
-def run(code, timeout=60):
+def run(code, timeout=150):
     done = subprocess.run(
         [sys.executable, "-c", PRELUDE + textwrap.dedent(code)],
         capture_output=True,
@@ -50,7 +52,8 @@ PLAN = """
     planner.setRange(12.0)
     planner.setProblemDefinition(pdef)
     planner.setup()
-    planner.solve(ob.timedPlannerTerminationCondition(15.0))
+    asked = itertools.count()
+    planner.solve(ob.PlannerTerminationCondition(lambda: next(asked) > 20_000))
     assert pdef.hasExactSolution()
     path = pdef.getSolutionPath()
     for s in path.getStates():

@@ -17,105 +17,13 @@ import pytest
 import umsgpack
 from PIL import Image
 
-from checkers import EgoCover, GaussianMixturePrediction, InputError, Kind, Risk, trajectory_risk
+from checkers import InputError
 from riskplan.pictures import geometry, render, scene3d, top
 from riskplan.pictures.picture import picture
-from riskplan.result import Plan
-from riskplan.scene import Goal, GoalRegion, KinematicCar, Scenario, State
+from riskplan.scene import Goal, Scenario, State
+from tests.pictured import STEPS, TIMES, overtake, overtaking_plan, unsolved
 
-DT = 0.1
-STEPS = 60
 SMALL = (600, 220)
-TIMES = DT * np.arange(STEPS + 1)
-
-
-def agent(name, x, lane, speed, other, length, width, weights=(0.7, 0.2, 0.1)):
-    """Keeps its lane, changes to `other`, or brakes."""
-    s = TIMES / TIMES[-1]
-    blend = s**2 * (3 - 2 * s)
-    drive = x + speed * TIMES
-    means = np.stack(
-        [
-            np.column_stack([drive, np.full_like(s, lane)]),
-            np.column_stack([drive * 0.99 + 0.01 * x, lane + (other - lane) * blend]),
-            np.column_stack([x + speed * TIMES * (1 - 0.3 * s), np.full_like(s, lane)]),
-        ],
-        axis=1,
-    )
-    spread = np.stack([np.diag([0.3 + 3.0 * u, 0.25 + 0.35 * u]) ** 2 for u in s])
-    return GaussianMixturePrediction(
-        TIMES, weights, means, np.repeat(spread[:, None], 3, axis=1), name=name, length=length, width=width
-    )
-
-
-def overtake(shift=(0.0, 0.0), name="overtake"):
-    """A truck ahead in the middle of three lanes, a car behind on the left, one ahead on the right."""
-    dx, dy = shift
-    lanes = [np.array([[-40.0, y], [160.0, y]]) + shift for y in (-3.5, 0.0, 3.5)]
-    agents = [
-        agent("car left", 2.0 + dx, 3.5 + dy, 15.0, dy, 4.5, 1.8, (0.5, 0.3, 0.2)),
-        agent("truck", 24.0 + dx, dy, 8.0, -3.5 + dy, 8.0, 2.5),
-        agent("car/right", 42.0 + dx, -3.5 + dy, 11.0, dy, 4.5, 1.8, (0.6, 0.25, 0.15)),
-    ]
-    corner = np.array([[60.0, -9.0], [66.0, -9.0], [66.0, -7.0], [62.0, -7.0], [62.0, -8.0], [60.0, -8.0]])
-    drivable = np.array([[-40.0, -6.3], [160.0, -6.3], [160.0, 6.3], [-40.0, 6.3]]) + shift
-    goal = np.array([[80.0, -1.5], [92.0, -1.5], [92.0, 1.5], [80.0, 1.5]]) + shift
-    return Scenario(
-        start=State(dx, dy, 0.0, 12.0),
-        goal=Goal((GoalRegion(goal),)),
-        bounds=(-40.0 + dx, -6.0 + dy, 160.0 + dx, 6.0 + dy),
-        obstacles=(corner + shift,),
-        agents=tuple(agents),
-        ego=EgoCover.discs(4.5, 1.8, relative_heading=0.0),
-        vehicle=KinematicCar(),
-        time_step=DT,
-        horizon=TIMES[-1],
-        drivable=(drivable,),
-        lanes=tuple(lanes),
-        name=name,
-    )
-
-
-def random_tree(edges, seed):
-    """(E, 5) edges that grow forwards from the origin and stay on the road."""
-    rng = np.random.default_rng(seed)
-    nodes = np.zeros((edges + 1, 3))  # x, y, time
-    parents = np.zeros(edges, dtype=int)
-    turns = rng.normal(0.0, 0.12, edges)
-    for i in range(edges):
-        parents[i] = rng.integers(0, i + 1)
-        x, y, t = nodes[parents[i]]
-        if t > STEPS * DT - 0.4:
-            x, y, t = nodes[0]
-            parents[i] = 0
-        nodes[i + 1] = x + 4.8, np.clip(y + 4.8 * turns[i], -5.0, 5.0), t + 0.4
-    return np.column_stack([nodes[parents, :2], nodes[1:, :2], nodes[parents, 2]])
-
-
-def overtaking_plan(scenario, edges=5000, seed=0):
-    """A lane change to the left and back, with invented marginals and a random tree."""
-    u = TIMES / TIMES[-1]
-    x = 14.3 * TIMES
-    y = 3.5 * (1 / (1 + np.exp(-18 * (u - 0.25))) - 1 / (1 + np.exp(-18 * (u - 0.8))))
-    y -= y[0]
-    heading = np.arctan2(np.gradient(y, TIMES), np.gradient(x, TIMES))
-    start = np.array([scenario.start.x, scenario.start.y])
-    poses = np.column_stack([np.column_stack([x, y]) + start, heading])
-    bump = 0.004 * np.exp(-(((u - 0.3) / 0.08) ** 2))
-    marginals = tuple(np.outer(bump, share) for share in ([1.0, 0.1, 0.0], [0.3, 0.2, 0.1], [0.0, 0.4, 0.0]))
-    risks = [Risk(m, Kind.EXACT) for m in marginals]
-    search = random_tree(edges, seed) + [*start, *start, 0.0]
-    return Plan(
-        "solved",
-        TIMES,
-        poses,
-        np.full(len(TIMES), 14.3),
-        trajectory_risk(risks, scenario.agents),
-        marginals=marginals,
-        bound=0.05,
-        settings={"planner": "rrt", "checker": "exact"},
-        search=search,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -131,12 +39,6 @@ def plan(scenario):
 @pytest.fixture(scope="module")
 def page(scenario, plan, tmp_path_factory):
     return render(scenario, plan, tmp_path_factory.mktemp("page") / "scene.html").read_text()
-
-
-def unsolved(search=None):
-    none = np.zeros(0)
-    edges = random_tree(200, 1) if search is None else search
-    return Plan("no_plan_found", none, np.zeros((0, 3)), none, None, bound=0.01, search=edges)
 
 
 def data_of(page):
@@ -178,9 +80,21 @@ def pixels(png):
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
 
 
-@pytest.mark.parametrize("suffix", [".html", ".png", ".gif"])
+def seen_from_above(pic, *size):
+    return top.still(pic, *size)[..., :3].astype(int)
+
+
+def view_of(suffix):
+    """What these tests draw without a browser."""
+    return "auto" if suffix == ".html" else "top"
+
+
+@pytest.mark.parametrize("suffix", [".html", ".png", ".gif", ".mp4"])
 def test_same_input_gives_the_same_bytes(scenario, plan, tmp_path, suffix):
-    files = [render(scenario, plan, tmp_path / f"{name}{suffix}", size=SMALL) for name in "ab"]
+    if suffix == ".mp4":
+        pytest.importorskip("imageio_ffmpeg", reason="needs the extra video")
+    looks = {"view": view_of(suffix), "size": SMALL, "samples": 5, "density": 5, "seed": 3}
+    files = [render(scenario, plan, tmp_path / f"{name}{suffix}", **looks) for name in "ab"]
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
@@ -201,7 +115,7 @@ def test_no_socket_and_no_process(scenario, plan, tmp_path, monkeypatch):
     for module, name in ((socket, "socket"), (subprocess, "Popen"), (zmq.Context, "socket")):
         monkeypatch.setattr(module, name, refuse)
     for suffix in (".html", ".png", ".gif"):
-        render(scenario, plan, tmp_path / f"scene{suffix}", size=SMALL)
+        render(scenario, plan, tmp_path / f"scene{suffix}", size=SMALL, view=view_of(suffix))
 
 
 def test_heavy_libraries_are_imported_when_needed_only():
@@ -219,16 +133,16 @@ def test_names_are_escaped(plan, tmp_path):
     assert "<script>alert" not in page
     assert "<b>" not in page.replace(scene3d.viewer_script(), "").replace("<b>0", "").replace("<b>5", "")
     assert page.count("&lt;/script&gt;&lt;script&gt;alert(1)&lt;/script&gt; @DATA@ &amp; σ") == 2
-    assert page.count("</script>") == 2
+    assert page.count("</script>") == 3
     assert len(commands_of(page)) > 50
 
 
 def test_scene_has_a_node_for_everything(page, scenario):
-    expected = {"road", "lines", "goal/0", "casing", "plan", "tree", "obstacles/0"}
+    expected = {"road", "lines", "goal/0", "plan/casing", "plan/ribbon", "tree", "obstacles/0"}
     expected |= {"ego/body", "ego/shadow", "ego/shape"}
     for i, node in enumerate(["0-car-left", "1-truck", "2-car-right"]):
         expected |= {f"agents/{node}/body", f"agents/{node}/shadow"}
-        expected |= {f"modes/{i}/{mode}/{part}" for mode in range(3) for part in ("ellipses", "rims")}
+        expected |= {f"modes/{i}/{mode}/{part}" for mode in range(3) for part in ("ellipses", "rims", "now")}
     meshes = meshes_of(page)
     assert set(meshes) == expected
     assert all(len(mesh) and np.isfinite(mesh).all() for mesh in meshes.values())
@@ -247,7 +161,8 @@ def test_ellipses_are_at_two_sigma(page, scenario):
 
 def test_animation_follows_the_plan_and_the_most_likely_mode(page, scenario, plan):
     tracks = tracks_of(page)
-    assert set(tracks) == {"ego", "agents/0-car-left", "agents/1-truck", "agents/2-car-right"}
+    modes = {f"modes/{i}/{mode}/now" for i in range(3) for mode in range(3)}
+    assert set(tracks) == {"ego", "agents/0-car-left", "agents/1-truck", "agents/2-car-right"} | modes
     for k in (0, 17, STEPS):
         time = plan.times[k]
         at = {name: track[".position"] for name, track in tracks.items()}
@@ -281,33 +196,35 @@ def test_legend_states_status_bound_risk_and_checker(page, plan):
 
 @pytest.mark.parametrize("suffix", [".html", ".png", ".gif"])
 def test_without_a_plan(scenario, tmp_path, suffix):
-    nothing = render(scenario, None, tmp_path / f"none{suffix}", size=SMALL).read_bytes()
-    searched = render(scenario, unsolved(), tmp_path / f"unsolved{suffix}", size=SMALL).read_bytes()
+    nothing = render(scenario, None, tmp_path / f"none{suffix}", size=SMALL, view=view_of(suffix)).read_bytes()
+    searched = render(
+        scenario, unsolved(), tmp_path / f"unsolved{suffix}", size=SMALL, view=view_of(suffix)
+    ).read_bytes()
     assert nothing != searched
     if suffix == ".html":
         nodes = meshes_of(searched.decode())
         assert "tree" in nodes
-        assert "plan" not in nodes
+        assert "plan/ribbon" not in nodes
         assert "no plan found" in searched.decode()
 
 
 def test_an_empty_world(tmp_path):
     bare = Scenario(State(0, 0, 1.0), Goal.at(30, 10), (-10, -10, 50, 50), horizon=5.0)
     for suffix in (".html", ".png", ".gif"):
-        assert render(bare, None, tmp_path / f"bare{suffix}", size=SMALL).stat().st_size > 1000
+        assert render(bare, None, tmp_path / f"bare{suffix}", size=SMALL, view=view_of(suffix)).stat().st_size > 1000
 
 
 def test_a_plan_of_one_step_and_agents_that_start_late(scenario, plan, tmp_path):
     late = dataclasses.replace(scenario, agents=(scenario.agents[0].at(TIMES[1:]).moments(4),))
     one = dataclasses.replace(plan, times=TIMES[:1], poses=plan.poses[:1], risk=None, marginals=())
     for suffix in (".html", ".png", ".gif"):
-        render(late, one, tmp_path / f"one{suffix}", size=SMALL)
+        render(late, one, tmp_path / f"one{suffix}", size=SMALL, view=view_of(suffix))
 
 
 def test_png_is_a_picture_of_the_plan(scenario, plan, tmp_path):
-    one = render(scenario, plan, tmp_path / "a.png", size=SMALL).read_bytes()
+    one = render(scenario, plan, tmp_path / "a.png", size=SMALL, view="top").read_bytes()
     other = dataclasses.replace(plan, poses=plan.poses * [1.0, -1.0, -1.0])
-    two = render(scenario, other, tmp_path / "b.png", size=SMALL).read_bytes()
+    two = render(scenario, other, tmp_path / "b.png", size=SMALL, view="top").read_bytes()
     assert one.startswith(b"\x89PNG")
     assert pixels(one).shape == (*SMALL[::-1], 3)
     assert (pixels(one) != pixels(two)).any(axis=-1).sum() > 500
@@ -316,7 +233,7 @@ def test_png_is_a_picture_of_the_plan(scenario, plan, tmp_path):
 @pytest.fixture(scope="module")
 def drawn(scenario, plan):
     pic = picture(scenario, plan)
-    return pic, pixels(top.png(pic, (1000, 330)))
+    return pic, seen_from_above(pic, (1000, 330))
 
 
 @pytest.mark.parametrize(
@@ -336,13 +253,13 @@ def drawn(scenario, plan):
 )
 def test_every_part_owns_pixels(drawn, part, without):
     pic, whole = drawn
-    rest = pixels(top.png(dataclasses.replace(pic, **without), (1000, 330)))
+    rest = seen_from_above(dataclasses.replace(pic, **without), (1000, 330))
     changed = np.abs(whole - rest).max(axis=-1) > 8
     assert changed[100:].sum() > 100, part  # below the legend
 
 
 def test_gif_moves(scenario, plan, tmp_path):
-    with Image.open(render(scenario, plan, tmp_path / "a.gif", size=SMALL)) as film:
+    with Image.open(render(scenario, plan, tmp_path / "a.gif", size=SMALL, view="top")) as film:
         assert film.size == SMALL
         assert 30 <= film.n_frames <= 60
         first = np.asarray(film.convert("RGB"))
@@ -358,13 +275,13 @@ def test_far_from_the_map_origin_looks_the_same(page, scenario, plan, tmp_path):
     assert set(near_meshes) == set(far_meshes)
     for name in set(near_meshes) - {"lines"}:
         np.testing.assert_allclose(near_meshes[name], far_meshes[name], atol=1e-4, err_msg=name)
-    one, two = (pixels(top.png(picture(s, p))) for s, p in ((scenario, plan), (far, far_plan)))
+    one, two = (seen_from_above(picture(s, p)) for s, p in ((scenario, plan), (far, far_plan)))
     assert (np.abs(one - two).max(axis=-1) > 8).mean() < 1e-3
 
 
 def test_unknown_suffix_is_named(scenario, plan, tmp_path):
-    with pytest.raises(InputError, match=r"expected a suffix out of \.html, \.png, \.gif; got '\.mp4'"):
-        render(scenario, plan, tmp_path / "scene.mp4")
+    with pytest.raises(InputError, match=r"expected a suffix out of \.html, \.png, \.gif, \.mp4; got '\.bmp'"):
+        render(scenario, plan, tmp_path / "scene.bmp")
     with pytest.raises(InputError, match="got 'none'"):
         render(scenario, plan, tmp_path / "scene")
 
@@ -372,7 +289,7 @@ def test_unknown_suffix_is_named(scenario, plan, tmp_path):
 def test_missing_directory_and_tiny_size_are_named(scenario, plan, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot make the directory"):
-        render(scenario, plan, tmp_path / "file" / "scene.png")
+        render(scenario, plan, tmp_path / "file" / "scene.png", view="top")
     with pytest.raises(InputError, match=r"size: expected at least \(200, 150\) pixels, got \(10, 10\)"):
         render(scenario, plan, tmp_path / "scene.png", size=(10, 10))
 
@@ -386,7 +303,7 @@ def test_an_interrupt_leaves_the_old_file(scenario, plan, tmp_path, monkeypatch)
 
     monkeypatch.setattr(os, "replace", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        render(scenario, plan, target, size=(400, 200))
+        render(scenario, plan, target, size=(400, 200), view="top")
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("scene.png", "old")]
 
 

@@ -131,9 +131,12 @@ MALFORMED = {
     "per step": (change("risk", "per_step", to=[0.0]), "risk.per_step: expected shape (2,), got (1,)"),
     "dependence": (
         change("risk", "dependence", to="x"),
-        "risk.dependence: expected one of independent, boole; got 'x'",
+        "risk.dependence: expected one of independent, persistent, boole; got 'x'",
     ),
-    "settings": (change("settings", to={"dependence": 3}), "settings.dependence: expected one of independent, boole"),
+    "settings": (
+        change("settings", to={"dependence": 3}),
+        "settings.dependence: expected one of independent, persistent, boole",
+    ),
     "options": (change("settings", to={"checker_options": 3}), "settings.checker_options: expected an object, got 3"),
     "checker": (change("settings", to={"checker": 3}), "settings.checker: expected text, got 3"),
     "marginals": (change("marginals", to=[]), "marginals: expected 1 agents, got 0"),

@@ -85,10 +85,15 @@ def test_reads_a_hand_written_file(tmp_path):
         ("{ellipsoid: {length: 4, width: 2, relative_heading: 0}}", rp.EgoEllipsoid.around(4, 2, relative_heading=0)),
         ("{discs: {length: 4, width: 2}}", rp.EgoCover.discs(4, 2)),
         ("{discs: {length: 4, width: 2, n: 3, agent_length: 1}}", rp.EgoCover.discs(4, 2, 3, 1)),
+        ("{box: {length: 4, width: 2}}", rp.EgoBox(4, 2)),
+        ("{aligned: {length: 4, width: 2}}", rp.EgoEllipsoid.aligned(4, 2)),
     ],
 )
 def test_ego_shapes(tmp_path, ego, expected):
-    s = load(tmp_path, SMALL + f"ego: {ego}\n")
+    s = load(tmp_path, SMALL.replace("length: 4.5", "length: 4.5\n    width: 1.8") + f"ego: {ego}\n")
+    assert type(s.ego) is type(expected)
+    rp.save_scenario(s, tmp_path / "again.yaml")
+    assert s.ego == rp.load_scenario(tmp_path / "again.yaml").ego or isinstance(s.ego, rp.EgoEllipsoid)
     for mine, wanted in zip(s.ego.pieces(s.agents[0]), expected.pieces(s.agents[0]), strict=True):
         assert np.array_equal(mine, wanted)
 
@@ -127,7 +132,7 @@ def test_broken_agent_file(tmp_path, content):
 
 
 WRONG = {
-    "unknown key": ("heading: 0", "hedaing: 0", "start.hedaing: unknown key; expected one of x, y, heading, speed"),
+    "unknown key": ("heading: 0", "hedaing: 0", "start.hedaing: unknown key; expected one of x, y, heading, speed, steering"),
     "missing key": ("heading: 0, ", "", "start.heading: missing; expected keys x, y, heading"),
     "text": ("x: 0", "x: abc", "start.x: expected a number, got 'abc'"),
     "boolean": ("x: 0", "x: true", "start.x: expected a number, got True"),
@@ -152,14 +157,14 @@ WRONG = {
     "nan mean": ("1e-3", ".nan", "agents[0] (car): means[0, 1, 1]: expected a finite number, got nan"),
     "quoted mean": ("1e-3", "'1e-3'", "agents[0] (car): means: expected numbers, got [[[20, 3.5], [22, '1e-3']], [[21, 3.5], [23, 0]], [[22, 3..."),
     "modes": ("weights:", "modes: sometimes\n      weights:", "agents[0].gaussian.modes: expected one of persistent, per_step; got 'sometimes'"),
-    "no prediction": ("gaussian:", "gauss:", "agents[0].gauss: unknown key; expected one of name, length, width, headings, file, gaussian, moments"),
-    "ego": ("version: 1", "version: 1\nego: {}", "ego: expected exactly one of discs, ellipsoid; got none"),
+    "no prediction": ("gaussian:", "gauss:", "agents[0].gauss: unknown key; expected one of name, length, width, headings, factors, file, gaussian, moments, controls"),
+    "ego": ("version: 1", "version: 1\nego: {}", "ego: expected exactly one of discs, ellipsoid, box, aligned; got none"),
     "Q": ("version: 1", "version: 1\nego: {ellipsoid: {Q: [[1, 2], [2, 1]]}}", "ego.ellipsoid.Q: expected a positive definite matrix, got [[1.0, 2.0], [2.0, 1.0]]"),
     "twice": ("name: small", "name: a\nname: b", "line 4, column 1: name: key appears twice"),
     "anchor": ("name: small", "name: &a small", "line 3, column 7: anchors and aliases are not supported"),
     "alias": ("name: small", "name: *a", "line 3, column 7: anchors and aliases are not supported"),
     "tag": ("x: 0", "x: !!python/name:os.system 0", "line 6, column 12: tags are not supported, got tag:yaml.org,2002:python/name:os.system"),
-    "merge": ("start: {", "start: {<<: {x: 1}, ", "start.'<<': unknown key; expected one of x, y, heading, speed"),
+    "merge": ("start: {", "start: {<<: {x: 1}, ", "start.'<<': unknown key; expected one of x, y, heading, speed, steering"),
     "deep": ("x: 0", "x: " + 500 * "[" + 500 * "]", "line 6, column 42: expected at most 32 levels of lists and mappings"),
     "two documents": ("version: 1", "version: 1\n---\na: 1", "line 3, column 1: expected one YAML document, got a second one"),
     "malformed": ("bounds: [", "bounds: [[", "line 6, column 1: not valid YAML: did not find expected ',' or ']'"),
@@ -198,9 +203,11 @@ def test_any_bytes_parse_or_are_refused(content):
 
 
 def test_suffixes_and_places(tmp_path):
-    with pytest.raises(rp.InputError, match=r"expected a scenario in one of .yaml, .yml, .xml; got .txt$"):
+    with pytest.raises(
+        rp.InputError, match=r"expected a scenario in one of .yaml, .yml, .xml, .csv, .parquet; got .txt$"
+    ):
         rp.load_scenario(tmp_path / "a.txt")
-    with pytest.raises(rp.InputError, match="Argoverse .csv and .parquet cannot be read yet"):
+    with pytest.raises(rp.InputError, match="a.parquet: no such file"):
         rp.load_scenario(tmp_path / "a.parquet")
     with pytest.raises(rp.InputError, match="no such file"):
         rp.load_scenario(tmp_path / "a.yaml")
@@ -241,6 +248,7 @@ def predictions(draw):
         length=draw(st.none() | positive),
         width=draw(st.none() | positive),
         headings=draw(st.sampled_from([None, rng.normal(size=(steps, modes))])),
+        factors=draw(st.sampled_from([None, 0.5 * root[..., :1]])),
     )
     return mixture if draw(st.booleans()) else mixture.moments(draw(st.integers(2, 5)))
 
@@ -260,7 +268,7 @@ def scenarios(draw):
     ego = st.sampled_from(
         [None, rp.EgoEllipsoid.around(4.5, 1.8, 4.6, 1.9, 0.3), rp.EgoCover.discs(4, 2, 3, None, 0.1, 0.2)]
     )
-    lines = st.lists(st.just([[0.1, 1 / 3], [1e-9, -0.0], [2, 1e17]]), max_size=2)
+    lines = st.lists(st.just([[0.1, 1 / 3], [1e-9, -0.0], [2, 1e8]]), max_size=2)
     return rp.Scenario(
         start=rp.State(x, y, draw(finite), draw(positive)),
         goal=rp.Goal((region, region), (low, draw(st.sampled_from([np.inf, low])))),
@@ -336,7 +344,7 @@ def test_unknown_ego_shape_cannot_be_saved(tmp_path):
             return np.zeros((1, 2)), np.eye(2)[None]
 
     scenario = dataclasses.replace(rp.load_scenario(DATA / "overtake.yaml"), ego=Blob())
-    with pytest.raises(rp.InputError, match="ego: expected an EgoEllipsoid or an EgoCover to write, got Blob"):
+    with pytest.raises(rp.InputError, match="ego: expected an EgoEllipsoid, EgoCover or EgoBox to write, got Blob"):
         rp.save_scenario(scenario, tmp_path / "a.yaml")
 
 

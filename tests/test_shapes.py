@@ -215,5 +215,5 @@ def test_bad_sizes(make, changes, field):
 
 @pytest.mark.parametrize("n", [0, -1, 2.0, "6", True, None])
 def test_bad_counts(n):
-    with pytest.raises(InputError, match="n: expected an integer >= 1"):
+    with pytest.raises(InputError, match="n: expected an integer from 1 to 1000"):
         EgoCover(4.0, 2.0, n)

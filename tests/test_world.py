@@ -9,6 +9,7 @@ import shapely
 import riskplan as rp
 from riskplan.evaluator import RiskEvaluator
 from riskplan.search import SearchResult
+from riskplan.world import pack_goal
 from tests.scenes import agent, overtake
 
 PLANNERS = ("rrt", "prm")
@@ -222,3 +223,14 @@ def test_what_is_not_known_is_not_valid():
         assert np.isnan(full.at_time(np.array(pose), 2.0))
         after = np.empty(full.groups)
         assert not full.charge(np.array([pose], dtype=float), 1, np.zeros(full.groups), np.inf, after) <= 1.0
+
+
+def test_distance_to_the_goal_is_that_of_its_polygons():
+    rng = np.random.default_rng(4)
+    regions = [np.array([[0, 0], [4, 0], [1, 1], [0, 4]]) + shift for shift in ([0, 0], [7.0, -3.0], [-6.0, 5.0])]
+    scene = dataclasses.replace(overtake(), goal=rp.Goal(tuple(rp.GoalRegion(r) for r in regions)))
+    points = rng.uniform(-15, 15, (500, 2))
+    found = pack_goal(scene).distances(points)
+    union = shapely.union_all([shapely.Polygon(r) for r in regions])
+    np.testing.assert_allclose(found, shapely.distance(union, shapely.points(points)), atol=1e-12)
+    assert (found == 0).any()

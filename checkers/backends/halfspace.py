@@ -7,14 +7,14 @@ from typing import ClassVar
 import numpy as np
 from numba import carray
 
-from checkers.base import Checker, CheckerInfo
+from checkers.base import CheckerInfo, MomentChecker
 from checkers.kernels.abi import kernel
 from checkers.kind import Kind
 from checkers.validate import Array, InputError
 
 
 @kernel
-def _kernel(m1, m2, s11, s12, s22, moments, order, options, out):  # type: ignore[no-untyped-def]
+def _kernel(m1, m2, s11, s12, s22, det, moments, order, options, out):  # type: ignore[no-untyped-def]
     count = int(carray(options, 1)[0])
     best = 1.0
     for i in range(count):
@@ -29,7 +29,7 @@ def _kernel(m1, m2, s11, s12, s22, moments, order, options, out):  # type: ignor
 
 
 @dataclass(frozen=True)
-class HalfSpace(Checker):
+class HalfSpace(MomentChecker):
     """`n_h` distinct tangents, equally spaced on the ellipsoid (Jasour et al. 2021, section IV-C2; they use 12)."""
 
     n_h: int = 12
@@ -44,7 +44,8 @@ class HalfSpace(Checker):
     )
 
     def __post_init__(self) -> None:
-        if not isinstance(self.n_h, int) or isinstance(self.n_h, bool) or not 3 <= self.n_h <= 10_000:
+        super().__post_init__()
+        if not isinstance(self.n_h, int | np.integer) or isinstance(self.n_h, bool) or not 3 <= self.n_h <= 10_000:
             raise InputError(f"halfspace: n_h: expected an integer from 3 to 10000, got {self.n_h!r}")
 
     @property
@@ -55,7 +56,7 @@ class HalfSpace(Checker):
     @property
     def kernel(self) -> int:
         """Address of the compiled kernel."""
-        return int(_kernel.address)
+        return _kernel.address
 
     @property
     def options(self) -> Array:

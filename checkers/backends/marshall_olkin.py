@@ -3,27 +3,29 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from checkers.base import Checker, CheckerInfo
+from numba import carray
+
+from checkers.base import CheckerInfo, MomentChecker
+from checkers.kernels import gradients
 from checkers.kernels.abi import kernel
-from checkers.kernels.gaussian import eigen, nearest
+from checkers.kernels.gaussian import marshall_olkin
 from checkers.kind import Kind
 
 
 @kernel
-def _kernel(m1, m2, s11, s12, s22, moments, order, options, out):  # type: ignore[no-untyped-def]
-    if m1 * m1 + m2 * m2 <= 1.0:
-        return 1.0
-    # outward by what rounding can hide in a covariance
-    floor = 1e-15 * (s11 + s22)
-    big, small, v1, v2 = eigen(s11 + floor, s12, s22 + floor)
-    if big == 0.0:
-        return 0.0
-    _, _, d2 = nearest(-v2 * m1 + v1 * m2, v1 * m1 + v2 * m2, small, big)
-    return min((1.0 + 1e-14) / (1.0 + d2 * (1.0 - 1e-12)), 1.0)
+def _kernel(m1, m2, s11, s12, s22, det, moments, order, options, out):  # type: ignore[no-untyped-def]
+    return marshall_olkin(m1, m2, s11, s12, s22, det)
+
+
+@kernel
+def _gradient(m1, m2, s11, s12, s22, det, moments, order, options, out):  # type: ignore[no-untyped-def]
+    turn, to = carray(options, 2), carray(out, 3)
+    to[0], to[1], to[2] = gradients.marshall_olkin(m1, m2, s11, s12, s22, det, turn[0], turn[1])
+    return 0.0
 
 
 @dataclass(frozen=True)
-class MarshallOlkin(Checker):
+class MarshallOlkin(MomentChecker):
     """1 / (1 + d²), d the Mahalanobis distance from the mean to the ellipsoid: the limit of ever more half-spaces."""
 
     info: ClassVar[CheckerInfo] = CheckerInfo(
@@ -33,6 +35,7 @@ class MarshallOlkin(Checker):
         assumption="none beyond the moments",
         source="Marshall & Olkin 1960",
         cost="0.1 µs",
+        gradient=True,
     )
 
     @property
@@ -43,4 +46,9 @@ class MarshallOlkin(Checker):
     @property
     def kernel(self) -> int:
         """Address of the compiled kernel."""
-        return int(_kernel.address)
+        return _kernel.address
+
+    @property
+    def gradient_kernel(self) -> int:
+        """Address of the gradient's kernel."""
+        return _gradient.address

@@ -5,21 +5,17 @@ from typing import ClassVar
 
 from checkers.base import Checker, CheckerInfo
 from checkers.kernels.abi import kernel
-from checkers.kernels.gaussian import eigen, nearest
+from checkers.kernels.gaussian import distance
 from checkers.kind import Kind
 
 
 @kernel
-def _kernel(m1, m2, s11, s12, s22, moments, order, options, out):  # type: ignore[no-untyped-def]
-    if m1 * m1 + m2 * m2 <= 1.0:
+def _kernel(m1, m2, s11, s12, s22, det, moments, order, options, out):  # type: ignore[no-untyped-def]
+    d2, _ = distance(m1, m2, s11, s12, s22, det)
+    if d2 == 0.0:
         return 1.0
-    floor = 1e-15 * (s11 + s22)
-    big, small, v1, v2 = eigen(s11 + floor, s12, s22 + floor)
-    if big == 0.0:
-        return 0.0
-    _, _, d2 = nearest(-v2 * m1 + v1 * m2, v1 * m1 + v2 * m2, small, big)
     d2 *= 1.0 - 1e-12
-    return min(max(4.0 / (9.0 * (1.0 + d2)), (3.0 - d2) / (3.0 * (1.0 + d2))) * (1.0 + 1e-14), 1.0)
+    return min(max(4.0 / (9.0 * (1.0 + d2)), 4.0 / (3.0 * (1.0 + d2)) - 1.0 / 3.0) * (1.0 + 1e-14), 1.0)
 
 
 @dataclass(frozen=True)
@@ -41,4 +37,4 @@ class UnimodalHalfSpace(Checker):
     @property
     def kernel(self) -> int:
         """Address of the compiled kernel."""
-        return int(_kernel.address)
+        return _kernel.address

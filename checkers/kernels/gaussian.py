@@ -5,28 +5,42 @@ import math
 import numba as nb
 import numpy as np
 
+from checkers.kernels import series
+
 _ROOT_HALF = math.sqrt(0.5)
-# rows of a precision: window where the integrand exceeds e^−cut of its peak, nodes in it at first, accepted change
-FULL = np.array([40.0, 14.0, 1e-7])
-COARSE = np.array([16.0, 7.0, 3e-3])  # relative error below 1e-3: for searching, not for stating
+_CUT = 40.0  # the window is where the integrand exceeds e^−cut of its peak
+_NODES = 14.0  # in the window at first
+_CHANGE = 1e-7  # of two sums that agree
+_START = -0.5 * math.pi
+FAR = 1391.0  # squared distance: P < Φ(−37.3) = 9e-305, of denormal numbers
 _X6, _W6 = np.polynomial.legendre.leggauss(6)
 
 
 @nb.njit(inline="always", error_model="numpy")
-def eigen(s11, s12, s22):
-    """Eigenvalues big ≥ small ≥ 0 and the unit vector (v1, v2) of the big one; robust for repeated ones."""
+def eigen(s11, s12, s22, det):
+    """Eigenvalues big ≥ small ≥ 0 and the unit vector (v1, v2) of the big one; robust for repeated ones.
+
+    The determinant is passed, for the small eigenvalue is as accurate as it.
+    """
     half = 0.5 * (s11 - s22)
-    radius = math.hypot(half, s12)
+    radius = math.sqrt(half * half + s12 * s12)
     big = 0.5 * (s11 + s22) + radius
     if radius == 0.0 or big <= 0.0:
         return max(big, 0.0), max(big, 0.0), 1.0, 0.0
-    small = max((s11 * s22 - s12 * s12) / big, 0.0)
+    small = det / big
     if half >= 0.0:
         v1, v2 = half + radius, s12
     else:
         v1, v2 = s12, radius - half
-    norm = math.hypot(v1, v2)
-    return big, min(small, big), v1 / norm, v2 / norm
+    norm = 1.0 / math.sqrt(v1 * v1 + v2 * v2)
+    return big, min(small, big), v1 * norm, v2 * norm
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _below(x, y, vx, vy):
+    """A ν below the solution: the first step from ν = 0, or what either coordinate alone needs."""
+    nu = (x * x + y * y) * (math.sqrt(x * x + y * y) - 1.0) / (x * x * vx + y * y * vy)
+    return max(nu, (abs(x) - 1.0) / vx if vx > 0.0 else 0.0, (abs(y) - 1.0) / vy if vy > 0.0 else 0.0)
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -36,45 +50,96 @@ def nearest(x, y, vx, vy):
     Solves the secular equation Σ m²/(1 + ν v)² = 1 by Newton on f^(−1/2) − 1, which is concave and increasing,
     so that the iteration from ν = 0 is monotone. Returns the point and the squared Mahalanobis distance.
     """
-    nu = 0.0
+    nu = _below(x, y, vx, vy)
     for _ in range(60):
-        a, b = 1.0 + nu * vx, 1.0 + nu * vy
-        f = (x / a) ** 2 + (y / b) ** 2
-        slope = (x / a) ** 2 * vx / a + (y / b) ** 2 * vy / b
-        step = f * (math.sqrt(f) - 1.0) / slope
+        a, b = 1.0 / (1.0 + nu * vx), 1.0 / (1.0 + nu * vy)
+        f1, f2 = (x * a) ** 2, (y * b) ** 2
+        f = f1 + f2
+        step = f * (math.sqrt(f) - 1.0) / (f1 * vx * a + f2 * vy * b)
         nu += step
-        if step <= 1e-13 * nu:
+        if step <= 1e-6 * nu:  # convergence is quadratic: what is left is of the size of its square
             break
     a, b = 1.0 + nu * vx, 1.0 + nu * vy
     return x / a, y / b, nu * nu * ((x / a) ** 2 * vx + (y / b) ** 2 * vy)
 
 
 @nb.njit(inline="always", error_model="numpy")
-def conditioning(m1, m2, s11, s12, s22, small, exponent):
-    """Relative change of P under rounding of the whitened mean and covariance; exponent is −log P or d²/2.
+def conditioning(m1, m2, small, exponent):
+    """Relative change of P under rounding of the whitened mean and variances; exponent is −log P or d²/2.
 
-    A mean shifted by ε(1 + |m|) shifts the distance d by as much over σ; entries of S off by ε shift the small
-    eigenvalue, which is a difference of products, by its cancellation, and the exponent d²/2 by that share.
+    A mean shifted by ε(1 + |m|) shifts the distance d by as much over σ; variances off by ε shift the exponent d²/2
+    by that share.
     """
     d = math.sqrt(2.0 * max(exponent, 0.0)) + 1.0
-    shift = (1.0 + math.hypot(m1, m2)) / math.sqrt(small) if small > 0.0 else 0.0
-    determinant = s11 * s22 - s12 * s12
-    tilt = (s11 * s22 + s12 * s12) / determinant if determinant > 0.0 else 0.0
-    return 1e-12 + 1e-15 * d * shift + 4e-16 * d * d * (1.0 + tilt)
+    shift = (1.0 + math.sqrt(m1 * m1 + m2 * m2)) / math.sqrt(small) if small > 0.0 else 0.0
+    return 1e-12 + 1e-15 * d * shift + 2e-15 * d * d
+
+
+@nb.njit(inline="always", error_model="numpy")
+def distance(m1, m2, s11, s12, s22, det):
+    """(d², smaller variance): squared Mahalanobis distance from the mean to the disc; 0 inside, ∞ without spread."""
+    if m1 * m1 + m2 * m2 <= 1.0:
+        return 0.0, 0.0
+    big, small, v1, v2 = eigen(s11, s12, s22, det)
+    if big == 0.0:
+        return np.inf, 0.0
+    return _dual_distance(-v2 * m1 + v1 * m2, v1 * m1 + v2 * m2, small, big), small
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _dual_distance(x, y, vx, vy):
+    """Squared Mahalanobis distance from (x, y) to the disc: the largest ν (x²/(1 + ν vx) + y²/(1 + ν vy) − 1).
+
+    Any ν ≥ 0 gives a lower bound, and near the best one the error is the square of ν's. So Newton's iteration, as in
+    `nearest`, can end as soon as its next step would be small, and the result errs to the safe side.
+    """
+    nu = _below(x, y, vx, vy)
+    for _ in range(60):
+        a, b = 1.0 / (1.0 + nu * vx), 1.0 / (1.0 + nu * vy)
+        f1, f2 = (x * a) ** 2, (y * b) ** 2
+        f = f1 + f2
+        spread = f1 * vx + f2 * vy
+        step = f * (math.sqrt(f) - 1.0) / (f1 * vx * a + f2 * vy * b)
+        if step <= 1e-6 * nu:
+            break
+        nu += step
+    return nu * ((f - 1.0) + nu * spread)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def half_space(m1, m2, s11, s12, s22):
+def tail_slopes(means, covariances):
+    """(M, N, 2) d log P / d mean at its leading order, −½ d d²/dm, of means (M, N, 2) in the axes of covariances.
+
+    Zero for means inside the disc, where rounding of the mean costs nothing.
+    """
+    out = np.zeros(means.shape)
+    for i in range(means.shape[0]):
+        for j in range(means.shape[1]):
+            m1, m2, big, small = means[i, j, 0], means[i, j, 1], covariances[i, j, 0], covariances[i, j, 2]
+            if m1 * m1 + m2 * m2 > 1.0 and small > 0.0:
+                p1, p2, _ = nearest(m1, m2, big, small)
+                out[i, j, 0], out[i, j, 1] = -(m1 - p1) / big, -(m2 - p2) / small
+    return out
+
+
+@nb.njit(cache=True, error_model="numpy")
+def marshall_olkin(m1, m2, s11, s12, s22, det):
+    """1 / (1 + d²), rounded outward: the sharp bound for any distribution of that mean and covariance."""
+    d2, _ = distance(m1, m2, s11, s12, s22, det)
+    return min((1.0 + 1e-14) / (1.0 + d2 * (1.0 - 1e-12)), 1.0)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def half_space(m1, m2, s11, s12, s22, det):
     """Φ(−d) ≥ P(|y| ≤ 1), d the Mahalanobis distance from m to the disc; 1 for a mean inside."""
-    if m1 * m1 + m2 * m2 <= 1.0:
+    d2, small = distance(m1, m2, s11, s12, s22, det)
+    if d2 == 0.0:
         return 1.0
-    big, small, v1, v2 = eigen(s11, s12, s22)
-    if big == 0.0:
-        return 0.0
-    _, _, d2 = nearest(-v2 * m1 + v1 * m2, v1 * m1 + v2 * m2, small, big)
     value = 0.5 * math.erfc(math.sqrt(0.5 * d2))
+    if value == 0.0:
+        return value
     # outward by what rounding of the input can do
-    return min(value * (1.0 + 2.0 * conditioning(m1, m2, s11, s12, s22, small, 0.5 * d2)), 1.0)
+    return min(value * (1.0 + 2.0 * conditioning(m1, m2, small, 0.5 * d2)), 1.0)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -117,42 +182,59 @@ def _edge(peak, limit, first, mx, my, sx, sy, level):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _integrand(t, mx, my, sx, sy):
-    sin, cos = math.sin(t), math.cos(t)
-    z = (sin - mx) / sx
+def _integrand(origin, offset, miss, mx, my, sx, sy):
+    """At t = origin + offset, miss = sin(origin) − mx; a narrow peak at the origin loses no digits of the offset."""
+    t = origin + offset
+    z = (2.0 * math.cos(origin + 0.5 * offset) * math.sin(0.5 * offset) + miss) / sx
     density = math.exp(-0.5 * z * z)
     if density == 0.0:
         return 0.0
+    cos = math.cos(t)
     return density * _interval(-my / sy, cos / sy) * cos
 
 
 @nb.njit(cache=True, error_model="numpy")
-def disc(m1, m2, s11, s12, s22, precision):
-    """(P(|y| ≤ 1), absolute error); precision is FULL or COARSE.
+def disc(m1, m2, s11, s12, s22, det):
+    """(P(|y| ≤ 1), absolute error): Ruben's series where it is short, else quadrature."""
+    big, small, v1, v2 = eigen(s11, s12, s22, det)
+    along, across = v1 * m1 + v2 * m2, -v2 * m1 + v1 * m2
+    gap = math.sqrt(m1 * m1 + m2 * m2) - 1.0
+    if gap > 0.0 and gap * gap > FAR * big:
+        return 0.0, 1e-304
+    if small > 0.0 and series.serves(along, across, big, small):
+        value = series.disc(along, across, big, small, 1e-16)
+        if value == value:
+            exponent = 0.5 * (along * along / big + across * across / small)
+            return min(value, 1.0), value * conditioning(m1, m2, small, exponent) + 5e-324
+    value, error, exponent = _quadrature(abs(along), abs(across), big, small)
+    return value, error + value * conditioning(m1, m2, small, exponent) + 5e-324
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _quadrature(my, mx, big, small):
+    """(P(|y| ≤ 1), absolute error, half the squared distance) for the mean (mx, my) ≥ 0 in the axes of small and big.
 
     P = ∫ φ((sin t − mx)/sx)/sx [Φ((cos t − my)/sy) − Φ((−cos t − my)/sy)] cos t dt over |t| ≤ π/2, in the principal
     axes. The integrand continues to a smooth 2π-periodic function, even about ±π/2, so the trapezoid rule converges
     geometrically (Trefethen & Weideman 2014); all terms are positive, so relative accuracy is kept in the tails.
     Nodes outside the window where the integrand exceeds e⁻⁴⁰ of its peak are skipped; the step is halved until
     two sums agree to 1e-7, and the finer one is then good to rounding: each halving squares the relative error. The
-    error returned is that square, or the difference itself where halving ended early, plus a rounding allowance.
+    error returned is that square, or the difference itself where halving ended early.
     """
-    big, small, v1, v2 = eigen(s11, s12, s22)
-    my, mx = abs(v1 * m1 + v2 * m2), abs(-v2 * m1 + v1 * m2)
     sy, sx = math.sqrt(big), math.sqrt(small)
     if sx < 1e-14:  # a line or a point
         if mx > 1.0:
-            return 0.0, 0.0
+            return 0.0, 0.0, 0.0
         chord = math.sqrt(1.0 - mx * mx)
         if sy < 1e-14:
-            return (1.0 if my <= chord else 0.0), 0.0
+            return (1.0 if my <= chord else 0.0), 0.0, 0.0
         p = _interval(-my / sy, chord / sy)
-        return p, (1e-12 + 1e-15 * (1.0 + my) / sy) * p
+        return p, (1e-12 + 1e-15 * (1.0 + my) / sy) * p, 0.0
     px, py, d2 = mx, my, 0.0
     if mx * mx + my * my > 1.0:
         px, py, d2 = nearest(mx, my, small, big)
-        if d2 > 1391.0:  # P < Φ(−37.3) = 9e-305: the integrand would be of denormal numbers
-            return 0.0, 1e-304
+        if d2 > FAR:
+            return 0.0, 1e-304, 0.0
     # integrate along the axis in which the window is narrower
     if sy / max(px, math.sqrt(sy)) < sx / max(py, math.sqrt(sx)):
         mx, my, sx, sy, px, py = my, mx, sy, sx, py, px
@@ -160,35 +242,40 @@ def disc(m1, m2, s11, s12, s22, precision):
         peak = math.asin(min(px, 1.0))
     else:
         peak = math.atan2(px, py)
-    level = 0.5 * d2 + precision[0]
+    level = 0.5 * d2 + _CUT
     first = min(9.0 * sx / max(math.cos(peak), math.sqrt(sx)), 1.0)
-    low = _edge(peak, -0.5 * math.pi, first, mx, my, sx, sy, level)
-    high = _edge(peak, 0.5 * math.pi, first, mx, my, sx, sy, level)
-    n = int(math.ceil(precision[1] * math.pi / (high - low)))
-    total = _grid_sum(n, 0.0, low, high, mx, my, sx, sy)
+    low = _edge(peak, _START, first, mx, my, sx, sy, level)
+    high = _edge(peak, -_START, first, mx, my, sx, sy, level)
+    n = int(math.ceil(_NODES * math.pi / (high - low)))
+    h = math.pi / n
+    # any grid serves a window inside the range; one that meets an end must be even about it
+    inside = low - h > _START and high + h < -_START
+    origin = peak if inside else _START
+    total = _grid_sum(h, 0.0, origin, low, high, mx, my, sx, sy)
     scale = 1.0 / (sx * math.sqrt(2.0 * math.pi))
     change = np.inf
     for _ in range(14):
-        middle = _grid_sum(n, 0.5, low, high, mx, my, sx, sy)
+        middle = _grid_sum(h, 0.5, origin, low, high, mx, my, sx, sy)
         change = abs(middle - total) / (middle + total) if middle + total > 0.0 else 0.0
         total += middle
-        n *= 2
-        if change < precision[2]:
+        h *= 0.5
+        if change < _CHANGE:
             break
-    value = min(total * math.pi / n * scale, 1.0)
-    rounding = 1e-11 + conditioning(m1, m2, s11, s12, s22, small, 0.5 * d2)
-    if change >= precision[2]:
-        return value, value * max(change, rounding)
-    return value, value * (change * change + rounding)
+    value = min(total * h * scale, 1.0)
+    rounding = 1e-11
+    if change >= _CHANGE:
+        return value, value * max(change, rounding), 0.5 * d2
+    return value, value * (change * change + rounding), 0.5 * d2
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _grid_sum(n, shift, low, high, mx, my, sx, sy):
-    """Sum of the integrand at t = −π/2 + (k + shift) π/n inside the window."""
-    h = math.pi / n
-    first = max(0, int(math.floor((low + 0.5 * math.pi) / h - shift)))
-    last = min(n - 1 if shift > 0.0 else n, int(math.ceil((high + 0.5 * math.pi) / h - shift)))
-    total = 0.0
+def _grid_sum(h, shift, origin, low, high, mx, my, sx, sy):
+    """Sum of the integrand at t = origin + (k + shift) h inside the window, the ends ±π/2 of the range included."""
+    first = int(math.floor((low - origin) / h - shift))
+    last = int(math.ceil((high - origin) / h - shift))
+    if origin == _START:
+        first, last = max(first, 0), min(last, int(round(math.pi / h - 2.0 * shift)))
+    total, miss = 0.0, math.sin(origin) - mx
     for k in range(first, last + 1):
-        total += _integrand((k + shift) * h - 0.5 * math.pi, mx, my, sx, sy)
+        total += _integrand(origin, (k + shift) * h, miss, mx, my, sx, sy)
     return total

@@ -8,14 +8,35 @@ import numpy as np
 _MAX_NODES = 1 << 17
 
 
-@nb.njit(cache=True, error_model="numpy")
-def _log_transform(z, variances, offsets):
-    """log E e^(−zQ) + z − log z for complex z: the exponent of the inversion integral."""
-    total = z - np.log(z)
+@nb.njit(inline="always", error_model="numpy")
+def _root(re, im):
+    """Square root with positive imaginary part of re + i·im, im ≥ 0."""
+    big = math.sqrt(0.5 * (math.sqrt(re * re + im * im) + abs(re)))
+    small = 0.5 * im / big if big > 0.0 else 0.0
+    return (big, small) if re >= 0.0 else (small, big)
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _transform(re, im, variances, offsets):
+    """E e^(z(1 − Q)) / z at z = re + i·im, im ≥ 0, as (exponent, phase, modulus², denominator): see `_line_sum`."""
+    exponent, phase = re, im
+    d_re, d_im = re, im
     for r in range(len(variances)):
-        w = 1.0 + 2.0 * variances[r] * z
-        total -= 0.5 * np.log(w) + offsets[r] ** 2 * z / w
-    return total
+        w_re, w_im = 1.0 + 2.0 * variances[r] * re, 2.0 * variances[r] * im
+        b2 = offsets[r] * offsets[r] / (w_re * w_re + w_im * w_im)
+        # b² z / w = b² z w* / |w|²
+        exponent -= b2 * (re * w_re + im * w_im)
+        phase -= b2 * im  # im·w_re − re·w_im = im
+        root_re, root_im = _root(w_re, w_im)
+        d_re, d_im = d_re * root_re - d_im * root_im, d_re * root_im + d_im * root_re
+    return exponent, phase, d_re, d_im
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _log_modulus(re, im, variances, offsets):
+    """log |E e^(z(1 − Q)) / z|."""
+    exponent, _, d_re, d_im = _transform(re, im, variances, offsets)
+    return exponent - 0.5 * math.log(d_re * d_re + d_im * d_im)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -32,19 +53,19 @@ def _derivatives(z, variances, offsets):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def quadratic_form_cdf(variances, offsets):
-    """(P(Σ_r (b_r + √v_r ξ_r)² ≤ 1), absolute error bound), any number of terms ≥ 1.
+def quadratic_form_cdf(variances, offsets, guess):
+    """(P(Σ_r (b_r + √v_r ξ_r)² ≤ 1), absolute error bound), any number of terms ≥ 1, from a guess of the saddle point.
 
     Imhof (1961) inverts the characteristic function along the imaginary axis; shifted to the saddle point z₀ > 0 and
     bent into its parabola of steepest descent (Helstrom 1996) z = z₀ + iv − κv², κ = −ψ‴/(6ψ″), the integrand decays
     like a Gaussian and the result keeps its relative accuracy in the lower tail. The trapezoid rule is halved until
     two sums agree; the error returned adds that difference, a bound on what lies beyond the last node and rounding.
     """
-    z0 = _saddle(variances, offsets)
+    z0 = _saddle(variances, offsets, guess)
     _, d2, d3 = _derivatives(z0, variances, offsets)
-    peak = _log_transform(complex(z0, 0.0), variances, offsets).real
+    peak = _log_modulus(z0, 0.0, variances, offsets)
     kappa = _bend(z0, -d3 / (6.0 * d2), peak, 1.0 / math.sqrt(d2), variances, offsets)
-    step = 1.0 / math.sqrt(d2)
+    step = 0.75 / math.sqrt(d2)  # two sums then agree where the integrand is nearly Gaussian
     total, absolute, reach, last = _line_sum(z0, kappa, peak, step, 0.0, variances, offsets)
     change = np.inf
     nodes = reach
@@ -53,7 +74,7 @@ def quadratic_form_cdf(variances, offsets):
         change = abs(middle - total) * step * 0.5
         total, absolute, step = total + middle, absolute + more, 0.5 * step
         nodes = 2 * reach
-        if change <= 1e-13 * abs(total) * step:
+        if change <= 1e-12 * abs(total) * step:
             break
     scale = math.exp(peak) / math.pi
     value = total * step * scale
@@ -72,7 +93,7 @@ def _bend(z0, steepest, peak, width, variances, offsets):
     for _ in range(20):
         v, before = 0.25 * width, peak
         while True:
-            here = _log_transform(complex(z0 - kappa * v * v, v), variances, offsets).real
+            here = _log_modulus(z0 - kappa * v * v, v, variances, offsets)
             if not here < before:
                 break
             if here < peak - 45.0:
@@ -84,27 +105,22 @@ def _bend(z0, steepest, peak, width, variances, offsets):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _saddle(variances, offsets):
-    """Minimum of the convex exponent on (0, ∞): bracketed, then bisection in log z and Newton."""
-    low, high = 1e-12, 1.0
-    while _derivatives(high, variances, offsets)[0] < 0.0:
-        low, high = high, high * 4.0
-        if high > 1e300:
-            return high
-    while _derivatives(low, variances, offsets)[0] > 0.0:
-        low *= 0.25
-    z = math.sqrt(low * high)
+def _saddle(variances, offsets, guess):
+    """Minimum of the convex exponent on (0, ∞) to a relative 1e-4: Newton in log z, bracketed."""
+    low, high, z = 0.0, np.inf, guess
     for _ in range(200):
         d1, d2, _ = _derivatives(z, variances, offsets)
         if d1 > 0.0:
             high = z
         else:
             low = z
-        newton = z - d1 / d2
-        z_next = newton if low < newton < high else math.sqrt(low * high)
-        if abs(z_next - z) <= 1e-6 * z:
-            return z_next
-        z = z_next
+        step = d1 / (d1 + z * d2)  # of log z
+        newton = z * math.exp(-min(max(step, -3.0), 3.0)) if math.isfinite(step) else z
+        if not low < newton < high:
+            newton = 4.0 * z if high == np.inf else 0.25 * z if low == 0.0 else math.sqrt(low * high)
+        if abs(newton - z) <= 1e-4 * z or newton > 1e300:
+            return newton
+        z = newton
     return z
 
 
@@ -115,10 +131,12 @@ def _line_sum(z0, kappa, peak, step, shift, variances, offsets):
     k = 0
     while k < _MAX_NODES:
         v = (k + shift) * step
-        z = complex(z0 - kappa * v * v, v)
-        weight = np.exp(_log_transform(z, variances, offsets) - peak)
-        term = (weight * complex(1.0, 2.0 * kappa * v)).real
-        last = abs(weight) * math.hypot(1.0, 2.0 * kappa * v)
+        exponent, phase, d_re, d_im = _transform(z0 - kappa * v * v, v, variances, offsets)
+        size = math.exp(exponent - peak) / (d_re * d_re + d_im * d_im)
+        cos, sin, slope = math.cos(phase), math.sin(phase), 2.0 * kappa * v
+        # real part of size · e^(i·phase) · conj(d) · (1 + i·slope)
+        term = size * ((cos * d_re + sin * d_im) - slope * (sin * d_re - cos * d_im))
+        last = size * math.sqrt((d_re * d_re + d_im * d_im) * (1.0 + slope * slope))
         if k == 0 and shift == 0.0:
             term *= 0.5
         total += term

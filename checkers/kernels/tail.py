@@ -9,10 +9,21 @@ from checkers.kernels.gaussian import eigen
 
 MAX_ORDER = 12
 _EPS = 2.220446049250313e-16
+MEAN_NOISE = 16.0 * _EPS  # of the mean of g, relative to the sum of its terms
+
+
+@nb.njit(inline="always", error_model="numpy")
+def gaussian_mean(m1, m2, s11, s12, s22, det):
+    """Variances of y in its axes, squares of its mean there, and mean and variance of g = |y|² − 1, y ~ N(m, S)."""
+    big, small, v1, v2 = eigen(s11, s12, s22, det)
+    p, q = (v1 * m1 + v2 * m2) ** 2, (-v2 * m1 + v1 * m2) ** 2
+    mean = (p - 1.0) + q + big + small if p >= q else (q - 1.0) + p + big + small
+    variance = 2.0 * (big * big + small * small) + 4.0 * (p * big + q * small)
+    return big, small, p, q, mean, variance
 
 
 @nb.njit(cache=True, error_model="numpy")
-def gaussian_form(m1, m2, s11, s12, s22, order, out, noise):
+def gaussian_form(m1, m2, s11, s12, s22, det, order, out, noise):
     """Mean of g and, in `out`, its standardised central moments 0…order for y ~ N(m, S). Returns (mean, sd).
 
     `noise` gets the absolute rounding error of each; noise[1] is that of the mean, in standard deviations.
@@ -20,10 +31,7 @@ def gaussian_form(m1, m2, s11, s12, s22, order, out, noise):
     Cumulants κ_r = 2^(r−1) (r−1)! [tr S^r + r mᵀ S^(r−1) m] (Provost & Mathai 1992), then μ_n by the recursion
     μ_n = Σ C(n−1, k−1) κ_k μ_(n−k); everything in units of the standard deviation.
     """
-    big, small, v1, v2 = eigen(s11, s12, s22)
-    p, q = (v1 * m1 + v2 * m2) ** 2, (-v2 * m1 + v1 * m2) ** 2
-    mean = (p - 1.0) + q + big + small if p >= q else (q - 1.0) + p + big + small
-    variance = 2.0 * (big * big + small * small) + 4.0 * (p * big + q * small)
+    big, small, p, q, mean, variance = gaussian_mean(m1, m2, s11, s12, s22, det)
     sd = math.sqrt(variance)
     out[0] = 1.0
     if order >= 1:
@@ -47,7 +55,7 @@ def gaussian_form(m1, m2, s11, s12, s22, order, out, noise):
         out[n] = total
         noise[n] = 16.0 * n * _EPS * total  # no term is negative
     noise[0] = 0.0
-    noise[1] = 16.0 * _EPS * (p + q + big + small + 1.0) / sd
+    noise[1] = MEAN_NOISE * (p + q + big + small + 1.0) / sd
     return mean, sd
 
 
@@ -105,7 +113,7 @@ def _times_form(power, k, constant, linear_1, linear_2):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def sharp_tail(moments, noise, order, x0):
+def sharp_tail(moments, noise, order, x0, room):
     """(upper, lower) on P(X ≤ x₀) over all distributions with the standardised moments 0…order, order even.
 
     Chebyshev–Markov–Stieltjes (Akhiezer 1965, ch. 2; Krein & Nudelman 1977): the extreme is the mass on (−∞, x₀] of
@@ -120,14 +128,22 @@ def sharp_tail(moments, noise, order, x0):
         noise: absolute error of each moment; noise[1] is that of the mean.
         order: highest moment used.
         x0: threshold.
+        room: 112 numbers to work in.
     """
     upper, lower = 1.0, 0.0
     x0 += noise[1]
-    alpha, beta = np.zeros(order // 2 + 1), np.zeros(order // 2 + 1)
-    rows = _jacobi(moments, noise, order // 2, alpha, beta)
+    side = order // 2 + 1
+    alpha, beta, nodes, links = room[:8], room[8:16], room[16:24], room[24:32]
+    rows = jacobi(moments, noise, side, alpha, beta, room[32 : 32 + side * side].reshape(side, side))
     for n in range(rows, 0, -1):
-        size, nodes = _radau(alpha.copy(), beta, n, x0)
-        above, below = _touching_means(nodes, size, x0, moments, noise)
+        size = radau(alpha, beta, n, x0, nodes, links)
+        leftmost = True
+        for i in range(1, size):
+            leftmost = leftmost and nodes[i] > x0
+        if leftmost:
+            above, below = _square_mean(nodes, size, x0, moments, noise, room[32:40], room[40:48]), 0.0
+        else:
+            above, below = _touching_means(nodes, size, x0, moments, noise, room[32:])
         upper, lower = min(upper, above), max(lower, below)
         if above < 1.0 and n == rows and noise[2 * n] <= 1e-10 * moments[2 * n]:
             break  # the highest order is the sharpest, unless noise spoils it
@@ -135,8 +151,8 @@ def sharp_tail(moments, noise, order, x0):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _radau(alpha, beta, n, x0):
-    """(count, nodes) of the quadrature with n+1 nodes, one of them x₀ itself and put first."""
+def radau(alpha, beta, n, x0, nodes, links):
+    """Count of nodes of the quadrature with n+1 of them, filled in, one of them x₀ itself and put first."""
     before, here = 0.0, 1.0
     for k in range(n):
         link = beta[k - 1] * before if k > 0 else 0.0
@@ -145,34 +161,69 @@ def _radau(alpha, beta, n, x0):
     if here != 0.0:
         alpha[n] = x0 - beta[n - 1] * before / here
         size = n + 1
-    nodes = _eigenvalues(alpha, beta, size)
+    if size <= 3:  # the other eigenvalues are roots of what is left of the characteristic polynomial
+        nodes[0] = x0
+        others = -x0
+        for i in range(size):
+            others += alpha[i]
+        if size == 2:
+            nodes[1] = others
+        if size == 3:
+            minors = alpha[0] * (alpha[1] + alpha[2]) + alpha[1] * alpha[2] - beta[0] ** 2 - beta[1] ** 2
+            half = 0.5 * others
+            root = math.sqrt(max(half * half - (minors - x0 * others), 0.0))
+            nodes[1], nodes[2] = half - root, half + root
+        return size
+    _eigenvalues(alpha, beta, size, nodes, links)
     closest = 0
     for i in range(size):
         if abs(nodes[i] - x0) < abs(nodes[closest] - x0):
             closest = i
     nodes[closest] = nodes[0]
     nodes[0] = x0
-    return size, nodes
+    return size
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _touching_means(nodes, size, x0, moments, noise):
+def _square_mean(nodes, size, x0, moments, noise, q, rough):
+    """Upper bound on P(X ≤ x₀) from nodes right of x₀: the mean of Π (x − t)² / (x₀ − t)², which is ≥ 1 left of x₀.
+
+    What `_touching_means` gives when no node lies left of x₀, at a fraction of its cost; rounded outward likewise.
+    """
+    q[0] = rough[0] = scale = 1.0
+    for i in range(1, size):
+        t = nodes[i]
+        scale *= x0 - t
+        q[i] = rough[i] = 1.0
+        for k in range(i - 1, 0, -1):
+            q[k], rough[k] = q[k - 1] - t * q[k], rough[k - 1] + abs(t) * rough[k]
+        q[0], rough[0] = -t * q[0], abs(t) * rough[0]
+    mean, slack = 0.0, 0.0
+    for j in range(size):
+        for k in range(size):
+            mean += q[j] * q[k] * moments[j + k]
+            slack += rough[j] * rough[k] * (4.0 * size * size * _EPS * abs(moments[j + k]) + noise[j + k])
+    value = (max(mean, 0.0) + slack) / (scale * scale) * (1.0 + 4.0 * size * _EPS)
+    return min(value, 1.0) if math.isfinite(value) else 1.0
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _touching_means(nodes, size, x0, moments, noise, room):
     """Means of the polynomials that touch the indicator of (−∞, x₀] at the nodes, from above and from below.
 
     Hermite interpolation with value and slope at every node but x₀ (nodes[0]), where the value alone is set: 1 above,
     0 below. Rounded outward: every coefficient's error is bounded by the same recursion on absolute values.
     """
     count = 2 * size - 1
-    t = np.empty(count)
+    t, f, g, c = room[:13], room[13:26], room[26:39], room[39:52]
+    e, size_c, result = room[52:65], room[65:78], room[78:80]
     t[0] = x0
     for i in range(1, size):
         t[2 * i - 1] = t[2 * i] = nodes[i]
-    result = np.empty(2)
     for side in range(2):
-        f, g = np.empty(count), np.empty(count)  # divided differences, and bounds on their rounding in units of ε
-        for i in range(count):
+        for i in range(count):  # divided differences f, and bounds g on their rounding in units of ε
             f[i] = 1.0 if t[i] < x0 or (i == 0 and side == 0) else 0.0
-            g[i] = 0.0
+            g[i] = c[i] = e[i] = size_c[i] = 0.0
         for level in range(1, count):
             for i in range(count - 1, level - 1, -1):
                 gap = t[i] - t[i - level]
@@ -181,7 +232,6 @@ def _touching_means(nodes, size, x0, moments, noise):
                 else:
                     f[i] = (f[i] - f[i - 1]) / gap
                     g[i] = (g[i] + g[i - 1]) / abs(gap) + 4.0 * abs(f[i])
-        c, e, size_c = np.zeros(count), np.zeros(count), np.zeros(count)
         for i in range(count - 1, -1, -1):  # Newton form to monomials, Horner's way
             for k in range(count - 1, 0, -1):
                 c[k] = c[k - 1] - t[i] * c[k]
@@ -199,10 +249,8 @@ def _touching_means(nodes, size, x0, moments, noise):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _jacobi(moments, noise, n, alpha, beta):
-    """Fill the Jacobi matrix from the moments; return how many rows exist."""
-    size = n + 1
-    r = np.zeros((size, size))
+def jacobi(moments, noise, size, alpha, beta, r):
+    """Fill the Jacobi matrix from the moments by the Cholesky factor r of their Hankel matrix; return its rows."""
     rank = size
     for i in range(size):
         pivot = moments[2 * i]
@@ -226,11 +274,10 @@ def _jacobi(moments, noise, n, alpha, beta):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _eigenvalues(alpha, beta, size):
-    """Eigenvalues of a symmetric tridiagonal matrix by implicit QL."""
-    d, e = alpha[:size].copy(), np.zeros(size)
-    for i in range(size - 1):
-        e[i] = beta[i]
+def _eigenvalues(alpha, beta, size, d, e):
+    """Fill d with the eigenvalues of a symmetric tridiagonal matrix by implicit QL; e is room for as many numbers."""
+    for i in range(size):
+        d[i], e[i] = alpha[i], beta[i] if i < size - 1 else 0.0
     for low in range(size):
         for _ in range(60):
             m = low
@@ -260,7 +307,6 @@ def _eigenvalues(alpha, beta, size):
                 d[low] -= p
                 e[low] = g
                 e[m] = 0.0
-    return d
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -286,3 +332,26 @@ def projection(a1, a2, spread, moments, moments_order, order, out, noise):
         out[k], noise[k] = total / scale, 4.0 * (k + 2) * _EPS * most / scale
     if order >= 1:
         out[1], noise[1] = 0.0, 4.0 * _EPS
+
+
+@nb.njit(cache=True, error_model="numpy")
+def table_bound(mean, sd, moments, noise, table, room):
+    """Smallest mean of the polynomials Π (1 − u/t)² of u = g / E g over the rows t − 1 > −1 of `table`; 1 for E g ≤ 0.
+
+    Args:
+        mean, sd: of g.
+        moments, noise: standardised moments of g and their error; noise[1] is that of the mean.
+        table: (N, n), the moments going to order 2n.
+        room: 24 numbers to work in.
+    """
+    mean -= noise[1] * sd  # outward
+    best = 1.0
+    if mean <= 0.0:
+        return best
+    size = table.shape[1] + 1
+    nodes = room[:8]
+    for i in range(table.shape[0]):
+        for k in range(1, size):
+            nodes[k] = table[i, k - 1] * (mean / sd)
+        best = min(best, _square_mean(nodes, size, -mean / sd, moments, noise, room[8:16], room[16:24]))
+    return best

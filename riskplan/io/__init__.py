@@ -6,35 +6,57 @@ Cheap to import: every reader is imported when first used.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from checkers import InputError
 
 if TYPE_CHECKING:
+    from riskplan.io.occupancy_grid import OccupancyGrid
+    from riskplan.io.predictions import load_predictions as load_predictions
+    from riskplan.io.solution import save_solution as save_solution
+    from riskplan.io.trajectory import save_trajectory as save_trajectory
     from riskplan.result import Plan
     from riskplan.scene import Scenario
 
-__all__ = ["SUFFIXES", "load_plan", "load_scenario", "save_plan", "save_scenario"]
+__all__ = [
+    "SUFFIXES",
+    "load_occupancy_grid",
+    "load_plan",
+    "load_predictions",
+    "load_scenario",
+    "save_plan",
+    "save_scenario",
+    "save_solution",
+    "save_trajectory",
+]
 
-SUFFIXES = (".yaml", ".yml", ".xml")
+SUFFIXES = (".yaml", ".yml", ".xml", ".csv", ".parquet")
+_LATER = {"load_predictions": "predictions", "save_solution": "solution", "save_trajectory": "trajectory"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module 'riskplan.io' has no attribute {name!r}")
+    from importlib import import_module  # noqa: PLC0415
+
+    return getattr(import_module(f"riskplan.io.{_LATER[name]}"), name)
 
 
 def load_scenario(path: str | Path, problem: int = 0) -> Scenario:
-    """A scenario from a file; the suffix picks the format: `.yaml`, `.yml` (own), `.xml` (CommonRoad 2018b, 2020a).
+    """A scenario from a file; the suffix picks the format.
+
+    `.yaml`, `.yml` (own), `.xml` (CommonRoad 2018b, 2020a), `.csv` (Argoverse 1), `.parquet` (Argoverse 2).
 
     Args:
         path: file to read.
-        problem: which planning problem of a CommonRoad file; a `.yaml` has one only.
+        problem: which planning problem of a CommonRoad file; the others have one only.
 
     Raises:
         InputError: one line that names the file, the field, what was expected and what came.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
-        later = "; Argoverse .csv and .parquet cannot be read yet" if suffix in (".csv", ".parquet") else ""
-        raise InputError(
-            f"{path}: expected a scenario in one of {', '.join(SUFFIXES)}; got {suffix or 'no suffix'}{later}"
-        )
+        raise InputError(f"{path}: expected a scenario in one of {', '.join(SUFFIXES)}; got {suffix or 'no suffix'}")
     if suffix == ".xml":
         from riskplan.io.commonroad import load_commonroad  # noqa: PLC0415
 
@@ -43,11 +65,33 @@ def load_scenario(path: str | Path, problem: int = 0) -> Scenario:
             return scene.scenario(problem)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+        except Exception as error:  # geometry that the reader lets through but shapely or the scene cannot use
+            text = f"{type(error).__name__}: {error}"
+            raise InputError(f"{path}: not a usable CommonRoad file: {text}") from None
     if problem != 0:
         raise InputError(f"problem: expected 0, as {path} has one planning problem; got {problem!r}")
+    if suffix in (".csv", ".parquet"):
+        from riskplan.io.argoverse import load_argoverse  # noqa: PLC0415
+
+        return load_argoverse(path)
     from riskplan.io.scenario_file import read_scenario  # noqa: PLC0415
 
     return read_scenario(path)
+
+
+def load_occupancy_grid(path: str | Path, unknown: str = "occupied") -> OccupancyGrid:
+    """A ROS map from its `map.yaml`; `.obstacles` are a scenario's. See `riskplan.io.occupancy_grid`.
+
+    Args:
+        path: of the `map.yaml`.
+        unknown: "occupied" blocks unknown cells and all outside the map, "free" neither.
+
+    Raises:
+        InputError: one line that names the file and the field.
+    """
+    from riskplan.io.occupancy_grid import load_occupancy_grid as load  # noqa: PLC0415
+
+    return load(path, unknown)
 
 
 def save_scenario(scenario: Scenario, path: str | Path) -> None:

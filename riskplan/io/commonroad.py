@@ -14,11 +14,13 @@ import numpy as np
 import shapely
 
 from checkers import EgoCover, GaussianMixturePrediction, InputError
-from checkers.validate import Array
-from predictor import ConstantVelocity, Track
+from checkers.validate import Array, as_scalar
+from predictor import ConstantVelocity, Manoeuvres, Track
 from predictor.io_commonroad import lanes_of, number, one_line, open_commonroad, point, tracks_of
 from predictor.roads import Road, polygons, turned
-from riskplan.scene import Goal, GoalRegion, KinematicCar, Scenario, State
+from riskplan.scene import Goal, GoalRegion, Scenario, State
+from riskplan.vehicles import Vehicle
+from riskplan.vehicles.kinematic_car import KinematicCar
 
 # grid times are floats: a window given in whole steps is widened by this [s]
 SLACK = 1e-6
@@ -28,7 +30,11 @@ AGENT_RANGE = 100.0
 LANE_TOLERANCE = float(np.radians(15))
 PROGRESS = 0.9
 LONGEST_PIECE = 10.0
+MOST_STATES = 2_000_000
 TURN_OF_PIECE = float(np.radians(5))
+
+
+Predictor = ConstantVelocity | Manoeuvres
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +91,14 @@ class CommonRoadScene:
     tracks: tuple[Track, ...]
     problems: tuple[Problem, ...]
 
-    def scenario(self, problem: int = 0, vehicle: KinematicCar | None = None) -> Scenario:
+    def scenario(
+        self, problem: int = 0, vehicle: Vehicle | None = None, predictor: Predictor | None = None
+    ) -> Scenario:
         """The file's planning problem over its own horizon, the traffic predicted from what its start knows.
 
         A goal without a position is anywhere; several goal states share one time window, from the earliest to
-        the latest. The file names no ego vehicle: `vehicle` defaults to `KinematicCar()`.
+        the latest. The file names no ego vehicle: `vehicle` defaults to `KinematicCar()`. `predictor` is
+        `Manoeuvres.fitted()` if not given.
         """
         if not 0 <= problem < len(self.problems):
             raise InputError(f"problem: expected 0 to {len(self.problems) - 1}, got {problem!r}")
@@ -99,23 +108,31 @@ class CommonRoadScene:
         vehicle = vehicle or KinematicCar()
         start, latest = chosen.start, chosen.window[1]
         reach = _reach(start.speed, latest, vehicle)
-        pasts = self._present(chosen.time)
-        near = [p for p in pasts if _distance(p, start) <= reach + abs(float(p.speeds[-1])) * latest]
+        present = self._present(chosen.time)
+        near = [p for p in present if _distance(p, start) <= reach + abs(float(p.speeds[-1])) * latest]
         steps = round(latest / self.dt)
-        return self._scenario(start, vehicle, steps, near, chosen.regions, chosen.window, self.name)
+        if steps * max(len(near), 1) > MOST_STATES:
+            raise InputError(
+                f"time: expected at most {MOST_STATES} steps of all agents, got {steps} of {len(near)} each"
+            )
+        agents = self._predict(near, present, steps, predictor, start, vehicle, chosen.time)
+        return self._scenario(start, vehicle, steps, agents, chosen.regions, chosen.window, self.name)
 
-    def horizon_task(self, rng: np.random.Generator, horizon: float = 3.0) -> HorizonTask | None:
+    def horizon_task(
+        self, rng: np.random.Generator, horizon: float = 3.0, predictor: Predictor | None = None
+    ) -> HorizonTask | None:
         """A recorded vehicle, drawn by `rng`, to be driven better than its driver for `horizon` s.
 
         Goal: at exactly `horizon` a state on a lane, within 15 degrees of its direction, at least 90 % as far
         along as the recorded driver then was. Vehicles need 2 s of past, `horizon` s of future, 2 m/s, a body
-        on the road at the start, and an end that meets their own goal. None if the file has none.
+        on the road at the start, and an end that meets their own goal. None if the file has none. `predictor` as in
+        `scenario`.
         """
         steps = round(horizon / self.dt)
         if steps < 1 or abs(steps * self.dt - horizon) > SLACK:
             raise InputError(f"horizon: expected a whole number of steps of {self.dt:g} s, got {horizon:g} s")
         for track, time in self._candidates(rng, horizon):
-            task = self._task(track, time, steps)
+            task = self._task(track, time, steps, predictor)
             if task is not None:
                 return task
         return None
@@ -128,9 +145,9 @@ class CommonRoadScene:
     def _scenario(
         self,
         start: State,
-        vehicle: KinematicCar,
+        vehicle: Vehicle,
         steps: int,
-        pasts: Sequence[Track],
+        agents: Sequence[GaussianMixturePrediction],
         regions: Sequence[GoalRegion | None],
         window: tuple[float, float],
         name: str,
@@ -142,7 +159,10 @@ class CommonRoadScene:
         if self.road.surface and not near:
             raise InputError(f"{name}: start ({start.x:g}, {start.y:g}) has no lanelet within reach")
         road = shapely.MultiPoint(np.concatenate([*near, [[start.x, start.y]]])) if near else box
-        bounds = box.intersection(shapely.box(*road.bounds).buffer(1.0, join_style="mitre")).bounds
+        field = box.intersection(shapely.box(*road.bounds).buffer(1.0, join_style="mitre"))
+        if not field.area > 0:
+            raise InputError(f"{name}: start ({start.x:g}, {start.y:g}) leaves no room to move in")
+        bounds = field.bounds
         anywhere = GoalRegion(np.asarray(shapely.box(*bounds).exterior.coords)[:-1])
         arrival = (max(window[0] - SLACK, 0.0), window[1] + SLACK)
         return Scenario(
@@ -150,8 +170,8 @@ class CommonRoadScene:
             goal=Goal(tuple(r or anywhere for r in regions), arrival),
             bounds=bounds,
             obstacles=tuple(p for p in self.obstacles if box.intersects(shapely.Polygon(p))),
-            agents=tuple(self._predict(past, steps) for past in pasts),
-            ego=EgoCover.discs(vehicle.length, vehicle.width, 6, relative_heading=0.0),
+            agents=tuple(agents),
+            ego=EgoCover.discs(*vehicle.body, 6, relative_heading=0.0),
             vehicle=vehicle,
             time_step=self.dt,
             horizon=steps * self.dt,
@@ -160,8 +180,30 @@ class CommonRoadScene:
             name=name,
         )
 
-    def _predict(self, past: Track, steps: int) -> GaussianMixturePrediction:
-        return ConstantVelocity.fitted().predict(past, np.arange(steps + 1) * self.dt)
+    def _predict(
+        self,
+        pasts: Sequence[Track],
+        present: Sequence[Track],
+        steps: int,
+        predictor: Predictor | None,
+        start: State,
+        vehicle: Vehicle,
+        time: float,
+    ) -> list[GaussianMixturePrediction]:
+        """`pasts` predicted, who see all that are `present` and the ego where they were last observed."""
+        times = np.arange(steps + 1) * self.dt
+        chosen = predictor or Manoeuvres.fitted()
+        if isinstance(chosen, ConstantVelocity):
+            return [chosen.predict(past, times) for past in pasts]
+        ego = Track(
+            "ego",
+            np.array([time]),
+            np.array([[start.x, start.y]]),
+            np.array([start.heading]),
+            np.array([start.speed]),
+            *vehicle.body,
+        )
+        return [chosen.predict(past, times, self.road.lanes, [ego, *present]) for past in pasts]
 
     def _candidates(self, rng: np.random.Generator, horizon: float) -> Iterator[tuple[Track, float]]:
         pairs = []
@@ -173,7 +215,7 @@ class CommonRoadScene:
         for i in rng.permutation(len(pairs)):
             yield pairs[i]
 
-    def _task(self, track: Track, time: float, steps: int) -> HorizonTask | None:
+    def _task(self, track: Track, time: float, steps: int, predictor: Predictor | None = None) -> HorizonTask | None:
         grid = np.arange(steps + 1) * self.dt
         driver = track.window(time, time + grid[-1]).at(grid)
         body = _rectangle(driver.positions[0], driver.headings[0], track.length, track.width)
@@ -194,10 +236,12 @@ class CommonRoadScene:
             return None
         x, y = map(float, driver.positions[0])
         start = State(x, y, float(driver.headings[0]), float(driver.speeds[0]))
-        pasts = [p for p in self._present(time, besides=track) if _distance(p, start) < AGENT_RANGE]
+        present = self._present(time, besides=track)
+        pasts = [p for p in present if _distance(p, start) < AGENT_RANGE]
         window = (float(grid[-1]), float(grid[-1]))
         name = f"{self.name} vehicle {track.name} at {time:g} s"
-        scenario = self._scenario(start, vehicle, steps, pasts, regions, window, name)
+        agents = self._predict(pasts, present, steps, predictor, start, vehicle, time)
+        scenario = self._scenario(start, vehicle, steps, agents, regions, window, name)
         recorded = {t.name: t for t in self.tracks}
         others = tuple(recorded[p.name].window(time, time + grid[-1]) for p in pasts)
         return HorizonTask(scenario, driver, others, time)
@@ -238,7 +282,8 @@ def _problem(problem: Any, dt: float) -> Problem:
     first = problem.initial_state
     begin = number(first.time_step)
     position = point(first.position)
-    start = State(float(position[0]), float(position[1]), number(first.orientation), number(first.velocity))
+    pace = as_scalar("start.speed", number(first.velocity), low=0.0)
+    start = State(float(position[0]), float(position[1]), number(first.orientation), pace)
     regions: list[GoalRegion | None] = []
     windows = []
     for state in problem.goal.state_list:
@@ -274,10 +319,10 @@ def _interval(value: Any) -> tuple[float, float]:
     return (float(value.start), float(value.end)) if hasattr(value, "start") else (float(value), float(value))
 
 
-def _reach(speed: float, duration: float, vehicle: KinematicCar) -> float:
+def _reach(speed: float, duration: float, vehicle: Vehicle) -> float:
     """An upper bound of the distance covered, and room for the body [m]."""
-    accelerating = speed * duration + vehicle.max_acceleration * duration**2 / 2
-    return min(accelerating, max(vehicle.max_speed, speed) * duration) + vehicle.length
+    accelerating = abs(speed) * duration + vehicle.top_acceleration * duration**2 / 2
+    return min(accelerating, max(vehicle.top_speed, abs(speed)) * duration) + vehicle.body[0]
 
 
 def _distance(past: Track, start: State) -> float:

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from checkers import DEPENDENCE, InputError, Kind, TrajectoryRisk
-from checkers.validate import Array, as_array, as_option, as_scalar, as_times
-from riskplan.io.text import numbers, plain, read_bytes, short
+from checkers import PATH_DEPENDENCE, InputError, Kind, TrajectoryRisk
+from checkers.validate import FARTHEST, Array, as_array, as_option, as_scalar, as_times
+from riskplan.io.text import DEEPEST, MOST_VALUES, numbers, plain, read_bytes, short
 from riskplan.result import STATUSES, Plan, Report
 
 FORMAT, VERSION = "riskplan-plan", 1
@@ -31,7 +31,7 @@ def plan_to_dict(plan: Plan) -> dict[str, Any]:
         "bound": plan.bound,
         "seed": plan.settings.get("seed"),
         "risk": risk_to_dict(plan.risk),
-        "trajectory": {"times": plain(plan.times), "poses": plain(plan.poses), "speeds": plain(plan.speeds)},
+        "trajectory": {name: plain(getattr(plan, name)) for name in ("times", "poses", "speeds", "steering")},
         "marginals": [plain(m) for m in plan.marginals],
         "settings": plain(dict(plan.settings)),
         "stats": plain(dict(plan.stats)),
@@ -71,6 +71,10 @@ def report_to_dict(report: Report) -> dict[str, Any]:
         for v in report.verdicts
     ]
     sampled = None if report.sampled is None else plain(dict(vars(report.sampled)))
+    spending = None  # not known is not nothing spent
+    if report.spending.shape[-1] > 0:
+        total = np.minimum(report.spending.sum(axis=1), 1.0)
+        spending = {"total": plain(total), "per_agent": plain(report.spending)}
     return {
         "format": "riskplan-report",
         "version": VERSION,
@@ -81,6 +85,7 @@ def report_to_dict(report: Report) -> dict[str, Any]:
         "verdicts": verdicts,
         "monte_carlo": sampled,
         "times": plain(report.times),
+        "spending": spending,
         "stats": plain(dict(report.stats)),
         "versions": versions(),
     }
@@ -116,7 +121,7 @@ def plan_of(values: Any) -> Plan:
     root = _Fields("", values)
     if root.get("format", str) != FORMAT or root.get("version", int) != VERSION:
         raise InputError(f"format: expected {FORMAT} version {VERSION}, got {short(root.values.get('format'))}")
-    steps, poses, speeds = _trajectory(root.within("trajectory"))
+    steps, poses, speeds, steering = _trajectory(root.within("trajectory"))
     status = as_option("status", root.get("status", str), STATUSES)
     if status == "solved" and not len(steps):
         raise InputError("trajectory.times: expected at least one time in a solved plan")
@@ -133,6 +138,7 @@ def plan_of(values: Any) -> Plan:
         message=root.get("message", str),
         settings=_settings(root.within("settings")),
         stats=stats,
+        steering=steering,
     )
     if plan.risk is not None and len(plan.risk.per_agent) != len(plan.marginals):
         raise InputError(f"marginals: expected {len(plan.risk.per_agent)} agents, got {len(plan.marginals)}")
@@ -141,7 +147,7 @@ def plan_of(values: Any) -> Plan:
 
 def _settings(d: _Fields) -> dict[str, Any]:
     """What judging again reads is checked; the rest is carried."""
-    as_option(d.name("dependence"), d.values.get("dependence", "independent"), DEPENDENCE)
+    as_option(d.name("dependence"), d.values.get("dependence", "independent"), PATH_DEPENDENCE)
     for key, kind in (("checker", str), ("checker_options", dict)):
         if key in d.values:
             d.get(key, kind)
@@ -174,7 +180,10 @@ class _Fields:
 
     def array(self, key: str, shape: tuple[int | str, ...]) -> Array:
         name = self.name(key)
-        return as_array(name, numbers(name, self.get(key, list)), shape)
+        return as_array(name, numbers(name, self.get(key, list)), shape, largest=FARTHEST)
+
+    def shares(self, key: str, shape: tuple[int | str, ...]) -> Array:
+        return _shares(self.name(key), self.array(key, shape))
 
 
 _WORDS: dict[type, str] = {
@@ -187,11 +196,14 @@ _WORDS: dict[type, str] = {
 }
 
 
-def _trajectory(d: _Fields) -> tuple[Array, Array, Array]:
+def _trajectory(d: _Fields) -> tuple[Array, Array, Array, Array]:
     if not d.get("times", list):
-        return np.zeros(0), np.zeros((0, 3)), np.zeros(0)
+        return np.zeros(0), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
     times = as_times("trajectory.times", d.array("times", ("T",)))
-    return times, d.array("poses", (len(times), 3)), d.array("speeds", (len(times),))
+    count = len(times)
+    # files of before vehicles could steer have no angles
+    steering = d.array("steering", (count,)) if "steering" in d.values else np.zeros(count)
+    return times, d.array("poses", (count, 3)), d.array("speeds", (count,)), steering
 
 
 def _risk(root: _Fields, steps: int) -> TrajectoryRisk | None:
@@ -204,20 +216,30 @@ def _risk(root: _Fields, steps: int) -> TrajectoryRisk | None:
     kinds = {kind.value: kind for kind in Kind}
     return TrajectoryRisk(
         total=scalar("total"),
-        per_agent=d.array("per_agent", ("A",)),
-        per_step=d.array("per_step", (steps,)),
+        per_agent=d.shares("per_agent", ("A",)),
+        per_step=d.shares("per_step", (steps,)),
         boole=scalar("boole"),
         max_step=scalar("max_step"),
         kind=kinds[as_option(d.name("kind"), d.get("kind", str), tuple(kinds))],
-        dependence=as_option(d.name("dependence"), d.get("dependence", str), DEPENDENCE),
+        dependence=as_option(d.name("dependence"), d.get("dependence", str), PATH_DEPENDENCE),
     )
 
 
 def _marginals(rows: list[Any], steps: int) -> tuple[Array, ...]:
     names = [f"marginals[{i}]" for i in range(len(rows))]
     return tuple(
-        as_array(name, numbers(name, row), (steps, "K"), finite=False) for name, row in zip(names, rows, strict=True)
+        _shares(name, as_array(name, numbers(name, row), (steps, "K"), finite=False))
+        for name, row in zip(names, rows, strict=True)
     )
+
+
+def _shares(name: str, values: Array) -> Array:
+    """Probabilities; NaN is let through, where it may be."""
+    bad = np.argwhere((values < 0) | (values > 1))
+    if len(bad):
+        index = tuple(int(i) for i in bad[0])
+        raise InputError(f"{name}{list(index)}: expected a number in [0, 1], got {values[index]:g}")
+    return values
 
 
 def _integer(text: str) -> int | float:
@@ -230,7 +252,19 @@ def parse_json(content: bytes) -> Any:
     def refuse(token: str) -> Any:
         raise InputError(f"not valid JSON: {token} is no number")
 
+    if sum(map(content.count, (b",", b"[", b"{"))) > MOST_VALUES:
+        raise InputError(f"expected at most {MOST_VALUES} values, got more")
     try:
-        return json.loads(content.decode(), parse_constant=refuse, parse_int=_integer)
+        value = json.loads(content.decode(), parse_constant=refuse, parse_int=_integer)
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"not valid JSON: {' '.join(str(error).split())}") from None
+    _check_depth(value, DEEPEST)
+    return value
+
+
+def _check_depth(value: Any, levels: int) -> None:
+    if isinstance(value, dict | list):
+        if not levels:
+            raise InputError(f"expected at most {DEEPEST} levels of lists and objects")
+        for item in value.values() if isinstance(value, dict) else value:
+            _check_depth(item, levels - 1)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 import numpy as np
 
 from checkers import (
+    ControlPrediction,
+    EgoBox,
     EgoCover,
     EgoEllipsoid,
     EgoShape,
@@ -18,11 +20,14 @@ from checkers import (
     MomentPrediction,
     load_prediction,
 )
+from checkers.control_document import prediction
 from checkers.validate import Array
+from riskplan.io import load_occupancy_grid
 from riskplan.io.schema import check_document
 from riskplan.io.text import numbers, read_bytes
 from riskplan.io.yaml_text import parse_yaml
-from riskplan.scene import Agent, Goal, GoalRegion, KinematicCar, Scenario, State
+from riskplan.scene import Agent, Goal, GoalRegion, Scenario, State
+from riskplan.vehicles import Vehicle, vehicle_class
 
 
 def read_scenario(path: str | Path) -> Scenario:
@@ -42,17 +47,43 @@ def read_scenario(path: str | Path) -> Scenario:
 def scenario_of(document: dict[str, Any], folder: Path) -> Scenario:
     """The scenario of a document that fits the schema; agents' files are looked up in `folder`."""
     d = document
-    keys = ("bounds", "time_step", "horizon", "obstacles", "drivable", "lanes", "name")
+    keys = ("bounds", "time_step", "horizon", "drivable", "lanes", "name")
     given: dict[str, Any] = {key: d[key] for key in keys if key in d}
+    if "obstacles" in d:
+        given["obstacles"] = _obstacles(d["obstacles"], folder)
     if "ego" in d:
         given["ego"] = _ego(d["ego"])
     return Scenario(
         start=State(**d["start"]),
         goal=_goal(d["goal"]),
         agents=tuple(_agent(i, a, folder) for i, a in enumerate(d.get("agents", ()))),
-        vehicle=KinematicCar(**d.get("vehicle", {})),
+        vehicle=_vehicle(d.get("vehicle", {})),
         **given,
     )
+
+
+def _obstacles(d: list[Any] | dict[str, Any], folder: Path) -> Sequence[Any]:
+    if isinstance(d, list):
+        return d
+    if not _inside(d["map"]) or not d["map"].endswith((".yaml", ".yml")):
+        raise InputError(f"obstacles.map: expected a .yaml in the scenario's directory or below, got {d['map']!r}")
+    grid = load_occupancy_grid(folder / d["map"], d.get("unknown", "occupied"))
+    return [*grid.obstacles, *d.get("polygons", ())]
+
+
+def _inside(name: str) -> bool:
+    """Whether a path stays in the directory it is relative to."""
+    return not (PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive or ".." in Path(name).parts)
+
+
+def _vehicle(d: dict[str, Any]) -> Vehicle:
+    name = d.get("type", "car")
+    cls = vehicle_class(name)
+    valid = [f.name for f in fields(cls)]  # type: ignore[arg-type]  # every vehicle is a dataclass
+    for key in d:
+        if key not in ("type", *valid):
+            raise InputError(f"vehicle.{key}: unknown key of a {name}; expected one of type, {', '.join(valid)}")
+    return cls(**{key: value for key, value in d.items() if key != "type"})
 
 
 def _goal(d: dict[str, Any]) -> Goal:
@@ -84,6 +115,10 @@ def _ego(d: dict[str, Any]) -> EgoShape:
     try:
         if kind == "discs":
             return EgoCover.discs(**{**values, "n": int(values.get("n", 6))})
+        if kind == "box":
+            return EgoBox(**values)
+        if kind == "aligned":
+            return EgoEllipsoid.aligned(**values)
         return EgoEllipsoid(values["Q"]) if "Q" in values else EgoEllipsoid.around(**values)
     except InputError as error:
         raise InputError(f"ego.{kind}.{error}") from None
@@ -99,10 +134,13 @@ def _agent(index: int, d: dict[str, Any], folder: Path) -> Agent:
     name = f" ({d['name']})" if d.get("name") else ""
     labels: dict[str, Any] = {key: d[key] for key in ("name", "length", "width") if key in d}
     try:
-        if "headings" in d:
-            labels["headings"] = numbers("headings", d["headings"])
-        if "file" in d:
-            return replace(_from_file(d["file"], folder), **labels)
+        labels |= {key: numbers(key, d[key]) for key in ("headings", "factors") if key in d}
+        if "file" in d or "controls" in d:
+            found = _from_file(d["file"], folder) if "file" in d else prediction(d["controls"])
+            for key in ("headings", "factors"):
+                if isinstance(found, ControlPrediction) and key in labels:
+                    raise InputError(f"{key}: expected none for an agent known by its controls, which say it all")
+            return replace(found, **labels)
         kind = "gaussian" if "gaussian" in d else "moments"
         values = {key: v if key == "modes" else _array(key, v) for key, v in d[kind].items()}
         agent: Agent = _CLASSES[kind](**values, **labels)
@@ -119,7 +157,6 @@ def _array(key: str, value: Any) -> Array:
 
 
 def _from_file(name: str, folder: Path) -> Agent:
-    inside = not (PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive or ".." in Path(name).parts)
-    if not inside or not name.endswith(".npz"):
+    if not _inside(name) or not name.endswith(".npz"):
         raise InputError(f"file: expected an .npz in the scenario's directory or below, got {name!r}")
     return load_prediction(folder / name)

@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from checkers import EgoCover, EgoEllipsoid, GaussianMixturePrediction, InputError
+from checkers import ControlPrediction, EgoBox, EgoCover, EgoEllipsoid, GaussianMixturePrediction, InputError
+from checkers.control_document import document
+from checkers.shapes import AlignedEllipsoid
 from checkers.validate import Array
 from riskplan.io.yaml_text import number_text, quoted
 from riskplan.scene import Agent, Goal, GoalRegion, Scenario
+from riskplan.vehicles import Vehicle
 
 
 def scenario_text(scenario: Scenario) -> str:
@@ -28,8 +31,8 @@ def scenario_text(scenario: Scenario) -> str:
         f"time_step: {number_text(s.time_step)}",
         f"horizon: {number_text(float(s.horizon or 0.0))}",
         f"bounds: {_flow(s.bounds)}",
-        f"start: {_record(s.start)}",
-        f"vehicle: {_record(s.vehicle)}",
+        f"start: {_record(s.start, () if s.start.steering else ('steering',))}",
+        f"vehicle: {_vehicle(s.vehicle)}",
         f"ego: {_ego(s.ego)}",
         *_goal(s.goal),
     ]
@@ -64,18 +67,23 @@ def _ego(shape: Any) -> str:
         return f"{{ellipsoid: {{Q: {_flow(shape.Q)}}}}}"
     if isinstance(shape, EgoCover):
         return f"{{discs: {_record(shape)}}}"
-    raise InputError(f"ego: expected an EgoEllipsoid or an EgoCover to write, got {type(shape).__name__}")
+    if isinstance(shape, EgoBox | AlignedEllipsoid):
+        return f"{{{'box' if isinstance(shape, EgoBox) else 'aligned'}: {_record(shape)}}}"
+    raise InputError(f"ego: expected an EgoEllipsoid, EgoCover or EgoBox to write, got {type(shape).__name__}")
 
 
 def _agent(agent: Agent) -> list[str]:
-    gaussian = isinstance(agent, GaussianMixturePrediction)
-    last = "covariances" if gaussian else "central_moments"
     lines = [f"  - name: {quoted(agent.name)}"]
     for name in ("length", "width"):
         if getattr(agent, name) is not None:
             lines.append(f"    {name}: {number_text(getattr(agent, name))}")
-    if agent.headings is not None:
-        lines += ["    headings:", *(f"      - {_flow(row)}" for row in agent.headings)]
+    if isinstance(agent, ControlPrediction):
+        return [*lines, "    controls:", *(f"      {k}: {_flow(v)}" for k, v in document(agent).items())]
+    gaussian = isinstance(agent, GaussianMixturePrediction)
+    last = "covariances" if gaussian else "central_moments"
+    for name in ("headings", "factors"):
+        if getattr(agent, name) is not None:
+            lines += [f"    {name}:", *(f"      - {_flow(row)}" for row in getattr(agent, name))]
     lines += [f"    {'gaussian' if gaussian else 'moments'}:", f"      times: {_times(agent.times)}"]
     lines += [f"      modes: {agent.modes}", f"      weights: {_flow(agent.weights)}"]
     for name in ("means", last):
@@ -91,9 +99,15 @@ def _times(times: Array) -> str:
     return _flow(times)
 
 
-def _record(value: Any) -> str:
+def _vehicle(vehicle: Vehicle) -> str:
+    """Its fields, and its type if that is not the one of old files."""
+    record = _record(vehicle)
+    return record if vehicle.type == "car" else f"{{type: {vehicle.type}, {record[1:]}"
+
+
+def _record(value: Any, without: Sequence[str] = ()) -> str:
     """A flat dataclass; fields that are None are left out."""
-    given = {f.name: getattr(value, f.name) for f in fields(value)}
+    given = {f.name: getattr(value, f.name) for f in fields(value) if f.name not in without}
     return "{" + ", ".join(f"{k}: {number_text(v)}" for k, v in given.items() if v is not None) + "}"
 
 
@@ -102,9 +116,13 @@ def _block(name: str, items: Sequence[str]) -> list[str]:
 
 
 def _flow(value: Any) -> str:
-    """Nested numbers in brackets; NaN, which stands for an entry that is not there, as null."""
+    """Nested numbers and text in brackets; NaN, which stands for an entry that is not there, as null."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_flow, value)) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{quoted(k)}: {_flow(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, str):
+        return quoted(value)
     return "null" if value != value else number_text(value)

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ _LIMITS = {
     "minItems": "at least {} items",
     "maxItems": "at most {} items",
 }
+_ENOUGH = 200  # errors looked at: a list of a million wrong entries has a million
 # where an upper end may be open
 _OPEN = re.compile(r"goal\.(time|regions\[\d+\]\.speed)\[1\]")
 
@@ -40,7 +42,7 @@ def check_document(document: Any) -> None:
         InputError: path of the offending key, what was expected and what came. Unknown keys are reported first: they
             explain the missing ones.
     """
-    errors = list(_validator().iter_errors(document))
+    errors = list(islice(_validator().iter_errors(document), _ENOUGH))
     if errors:
         raise InputError(_line(min(errors, key=lambda e: (e.validator != "additionalProperties", _rank(e)))))
     for where, value in _small_numbers("", document):
@@ -48,10 +50,14 @@ def check_document(document: Any) -> None:
             raise InputError(f"{where}: expected a finite number, got {value}")
 
 
+def schema_text() -> str:
+    """The JSON Schema of scenario files, as it is shipped."""
+    return Path(__file__).with_name("scenario.schema.json").read_text(encoding="utf-8")
+
+
 @cache
 def _validator() -> Draft202012Validator:
-    text = Path(__file__).with_name("scenario.schema.json").read_text(encoding="utf-8")
-    return Draft202012Validator(json.loads(text))
+    return Draft202012Validator(json.loads(schema_text()))
 
 
 def _rank(error: ValidationError) -> int:
@@ -114,5 +120,5 @@ def _small_numbers(where: str, value: Any) -> Iterator[tuple[str, float]]:
             yield from _small_numbers(f"{where}[{i}]", item)
     elif isinstance(value, dict):
         for key, item in value.items():
-            if key not in ("means", "covariances", "central_moments", "weights", "headings"):
+            if key not in ("means", "covariances", "central_moments", "weights", "headings", "factors"):
                 yield from _small_numbers(_join(where, key), item)

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import os
+import reprlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from checkers import InputError
+from checkers.archive import check_regular
 from checkers.validate import Array
 
-LARGEST = 200_000_000  # bytes of a text file
+LARGEST = 50_000_000  # bytes of a text file
+MOST_VALUES = 2_000_000  # numbers, texts, lists and mappings of a text file; predictions beyond that belong in an .npz
+DEEPEST = 32  # levels of lists and mappings
+
+_REPR = reprlib.Repr()
+_REPR.maxlevel, _REPR.maxlist, _REPR.maxdict, _REPR.maxtuple = 8, 40, 40, 40
+_REPR.maxstring = _REPR.maxlong = _REPR.maxother = 200
 
 
 def read_bytes(path: str | Path) -> bytes:
@@ -20,13 +28,12 @@ def read_bytes(path: str | Path) -> bytes:
     Raises:
         InputError: one line that names the file.
     """
+    check_regular(path)
     try:
         with open(path, "rb") as file:
             content = file.read(LARGEST + 1)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     if len(content) > LARGEST:
         raise InputError(f"{path}: expected at most {LARGEST / 1e6:g} MB of text, got more")
     return content
@@ -77,7 +84,7 @@ def _holds_boolean(value: Any) -> bool:
 
 def short(value: Any, length: int = 60) -> str:
     """A value for an error message, on one short line."""
-    text = " ".join(repr(value).split())
+    text = " ".join(_REPR.repr(value).split())
     return text if len(text) <= length else text[: length - 3] + "..."
 
 

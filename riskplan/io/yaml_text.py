@@ -12,8 +12,8 @@ from typing import Any
 import yaml
 
 from checkers import InputError
+from riskplan.io.text import DEEPEST, MOST_VALUES
 
-_DEEPEST = 32
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _CONSTANTS: dict[str, Any] = {
@@ -38,7 +38,7 @@ def parse_yaml(content: bytes, name: str) -> Any:
     loader = None
     try:
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(content)
-        return _document(loader)
+        return _document(_Counting(loader))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         problem = " ".join(str(error.problem or error.context or "malformed").split())
@@ -50,6 +50,20 @@ def parse_yaml(content: bytes, name: str) -> Any:
     finally:
         if loader is not None:
             loader.dispose()
+
+
+class _Counting:
+    """Events of a parser, up to a number of them."""
+
+    def __init__(self, loader: Any) -> None:
+        self._loader, self._left = loader, MOST_VALUES
+
+    def get_event(self) -> Any:
+        event = self._loader.get_event()
+        self._left -= 1
+        if not self._left:
+            raise _Refused(event, f"expected at most {MOST_VALUES} values; larger predictions belong in an .npz")
+        return event
 
 
 class _Refused(Exception):
@@ -77,8 +91,8 @@ def _value(loader: Any, event: Any, depth: int) -> Any:
         raise _Refused(event, f"tags are not supported, got {event.tag}")
     if isinstance(event, yaml.ScalarEvent):
         return _scalar(event.value) if event.implicit[0] else event.value
-    if depth >= _DEEPEST:
-        raise _Refused(event, f"expected at most {_DEEPEST} levels of lists and mappings")
+    if depth >= DEEPEST:
+        raise _Refused(event, f"expected at most {DEEPEST} levels of lists and mappings")
     if isinstance(event, yaml.SequenceStartEvent):
         items = []
         while not isinstance(event := loader.get_event(), yaml.SequenceEndEvent):

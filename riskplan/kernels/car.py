@@ -5,21 +5,10 @@ import math
 import numba as nb
 import numpy as np
 
-# rows of the limits array
+from riskplan.kernels.steer import arrays, steer_kernel
+
+# limits, in the order of `vehicles.CurveLimits`
 ACCELERATION, DECELERATION, CURVATURE, SPEED, LATERAL = range(5)
-
-
-def pack_limits(vehicle):
-    """Limits of a `KinematicCar` as the array the kernels read."""
-    return np.array(
-        [
-            vehicle.max_acceleration,
-            vehicle.max_deceleration,
-            vehicle.max_curvature,
-            vehicle.max_speed,
-            vehicle.max_lateral_acceleration,
-        ]
-    )
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -28,9 +17,19 @@ def wrap(angle):
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
+@nb.njit(inline="always", error_model="numpy")
+def arc(x, y, heading, distance, curvature):
+    """Pose after an arc; backwards for a negative distance."""
+    turn = distance * curvature
+    # chord of an arc: exact, and smooth where the turn vanishes
+    half = 0.5 * turn
+    chord = distance * (math.sin(half) / half if abs(half) > 1e-8 else 1.0)
+    return x + chord * math.cos(heading + half), y + chord * math.sin(heading + half), wrap(heading + turn)
+
+
 @nb.njit(cache=True, error_model="numpy")
 def drive(x, y, heading, speed, acceleration, curvature_1, curvature_2, steps, dt, top_speed, out):
-    """Fill out (steps, 4) with x, y, heading, speed at the end of every step.
+    """Fill out (steps, 5) with x, y, heading, speed, 0 at the end of every step.
 
     Acceleration is constant until the speed reaches 0 or `top_speed`; curvature changes after half of the steps.
     Every step is an exact arc.
@@ -46,15 +45,9 @@ def drive(x, y, heading, speed, acceleration, curvature_1, curvature_2, steps, d
             distance = 0.5 * (speed + after) * ramp + after * (dt - ramp)
         else:
             distance = 0.5 * (speed + after) * dt
-        turn = distance * (curvature_1 if 2 * i < steps else curvature_2)
-        # chord of an arc: exact, and smooth where the turn vanishes
-        half = 0.5 * turn
-        chord = distance * (math.sin(half) / half if abs(half) > 1e-8 else 1.0)
-        x += chord * math.cos(heading + half)
-        y += chord * math.sin(heading + half)
-        heading = wrap(heading + turn)
+        x, y, heading = arc(x, y, heading, distance, curvature_1 if 2 * i < steps else curvature_2)
         speed = after
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = x, y, heading, speed
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4] = x, y, heading, speed, 0.0
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -111,3 +104,16 @@ def controls(u1, u2, u3, x, y, heading, speed, steps, dt, limits, lanes):
     reached = start + curvature_1 * half
     curvature_2 = min(max((end - reached) / half, -most), most)
     return acceleration, curvature_1, curvature_2
+
+
+@steer_kernel
+def steer(node_, u1, u2, u3, steps, dt, limits_, lanes_, count, out_):
+    """See `riskplan.kernels.steer`."""
+    node, limits, lanes, out = arrays(node_, limits_, lanes_, count, out_, steps)
+    x, y, heading, speed = node[0], node[1], node[2], node[3]
+    a, k1, k2 = controls(u1, u2, u3, x, y, heading, speed, steps, dt, limits, lanes)
+    drive(x, y, heading, speed, a, k1, k2, steps, dt, limits[SPEED], out)
+    for i in range(steps):
+        if abs(k1 if 2 * i < steps else k2) * out[i, 3] ** 2 > limits[LATERAL] * 1.0001:
+            return i
+    return steps

@@ -5,53 +5,51 @@ import math
 import numba as nb
 import numpy as np
 
-from checkers.kernels.abi import call_kernel
+from checkers.kernels.abi import ROOM, call_kernel
 from checkers.kernels.whiten import to_disc, to_ego, whiten_moments
 
 # columns of the agent rows; central moments follow
-MEAN_X, MEAN_Y, C11, C12, C22, WEIGHT, CULL, MOMENTS = range(8)
+MEAN_X, MEAN_Y, C11, C12, C22, DET, WEIGHT, CULL, REACH, MOMENTS = range(10)
 
 
-# a piece bounded by less than this share of what is charged already is charged its bound
-_MINOR = 3e-3
+# a piece bounded by less than this share of what is charged already is charged its bound: in a search, and in a verdict
+_MINOR, _ROUNDING = 3e-3, 1e-14
 
 
 @nb.njit(cache=True, error_model="numpy")
-def row_risk(address, options, order, row, pieces, first, last, x, y, cos, sin, negligible, scratch, out):
+def row_risk(fixed, row, first, last, x, y, cos, sin, negligible, idle, floor, minor, room):
     """Risk of one agent mode at one pose: the union bound over its pieces.
 
-    Where `negligible` > 0 (Gaussian modes under an exact backend) the half-space bound P ≤ Φ(−(|m| − 1)/σ_m), which
-    holds for every direction and hence for that of m, is charged for every piece where it is below `negligible` or
-    small beside the likeliest piece: the value is then high by at most `_MINOR` per piece.
+    Where `minor` > 0 (Gaussian modes under an exact backend) the half-space bound P ≤ Φ(−(|m| − 1)/σ_m), which holds
+    for every direction and hence for that of m, stands for the whole shape where their sum is at most `negligible`, and
+    for a piece where it is at most `idle`, or `minor` times the likeliest piece: the value is then high by no more.
     """
+    address, options, order, pieces = fixed
+    bounds, scratch, out = room
     d1, d2, e11, e12, e22 = to_ego(x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22])
-    value, top, largest = 0.0, -1, 0.0
-    if negligible > 0.0:
+    scratch_at, options_at, out_at = scratch.ctypes.data, options.ctypes.data, out.ctypes.data
+    value, top, largest, together = 0.0, -1, 0.0, 0.0
+    if minor > 0.0:
         for p in range(first, last):
-            m1, m2, s11, s12, s22 = to_disc(pieces[p], d1, d2, e11, e12, e22)
-            bound = _direction_bound(m1, m2, s11, s12, s22)
-            if bound > largest:
-                largest, top = bound, p
-        if largest <= negligible:
-            return largest * (last - first)
-        m1, m2, s11, s12, s22 = to_disc(pieces[top], d1, d2, e11, e12, e22)
-        value = call_kernel(
-            address, m1, m2, s11, s12, s22, scratch.ctypes.data, 0, options.ctypes.data, out.ctypes.data
-        )
+            m1, m2, s11, s12, s22, det = to_disc(pieces, p, d1, d2, e11, e12, e22, row[DET])
+            bounds[p] = max(_direction_bound(m1, m2, s11, s12, s22), floor)
+            together += bounds[p]
+            if bounds[p] > largest:
+                largest, top = bounds[p], p
+        if together <= negligible or largest <= idle:
+            return together
+        m1, m2, s11, s12, s22, det = to_disc(pieces, top, d1, d2, e11, e12, e22, row[DET])
+        value = call_kernel(address, m1, m2, s11, s12, s22, det, scratch_at, 0, options_at, out_at)
     for p in range(first, last):
         if p == top:
             continue
-        m1, m2, s11, s12, s22 = to_disc(pieces[p], d1, d2, e11, e12, e22)
-        if negligible > 0.0:
-            bound = _direction_bound(m1, m2, s11, s12, s22)
-            if bound <= max(negligible, _MINOR * value):
-                value += bound
-                continue
+        if minor > 0.0 and bounds[p] <= max(minor * value, idle):
+            value += bounds[p]
+            continue
+        m1, m2, s11, s12, s22, det = to_disc(pieces, p, d1, d2, e11, e12, e22, row[DET])
         if order > 0:
-            whiten_moments(pieces[p], cos, sin, row[MOMENTS:], order, scratch)
-        value += call_kernel(
-            address, m1, m2, s11, s12, s22, scratch.ctypes.data, order, options.ctypes.data, out.ctypes.data
-        )
+            whiten_moments(pieces, p, cos, sin, row[MOMENTS:], order, scratch)
+        value += call_kernel(address, m1, m2, s11, s12, s22, det, scratch_at, order, options_at, out_at)
     return min(value, 1.0)
 
 
@@ -64,33 +62,56 @@ def _direction_bound(m1, m2, s11, s12, s22):
     return 0.5 * math.erfc((math.sqrt(r2) - 1.0) / spread) if spread > 0.0 else 0.0
 
 
+@nb.njit(inline="always", error_model="numpy")
+def _squared_gap(row, x, y):
+    """Squared distance in σ along the line of centres from the mean to the whole shape; 0 within its reach."""
+    dx, dy = row[MEAN_X] - x, row[MEAN_Y] - y
+    r2 = dx * dx + dy * dy
+    gap = math.sqrt(r2) - row[REACH]
+    if not gap > 0.0:
+        return 0.0
+    return gap * gap * r2 / (dx * dx * row[C11] + 2.0 * dx * dy * row[C12] + dy * dy * row[C22])
+
+
 @nb.njit(cache=True, error_model="numpy")
-def marginals(address, options, order, rows, index, pieces, poses, first_step, out):
-    """Fill out (S, M) with the risk of every agent mode at poses (S, 3), nothing culled or bounded."""
-    scratch, extra = np.empty(max((order + 1) ** 2, 1)), np.empty(2)
-    for s in range(poses.shape[0]):
+def marginals(address, options, order, rows, index, pieces, groups, bounded, poses, out):
+    """Fill out (S, M) with the risk of every agent mode at poses (S, 3), NaN before its prediction begins.
+
+    Where the backend is exact (`bounded`), modes and pieces that together are less than rounding beside the largest
+    marginal are stated by their bounds Φ(−d): far tails are slow to work out, and change no digit of any sum.
+    """
+    steps, modes = poses.shape[0], index.shape[0]
+    room = (np.empty(pieces.shape[0]), np.empty((order + 1) ** 2), np.empty(ROOM))
+    fixed = (address, options, order, pieces)
+    at_step, at_mode, largest = -1, -1, 0.0
+    for s in range(steps):
+        for m in range(modes):
+            row = rows[s, m]
+            out[s, m] = np.nan
+            if bounded and row[WEIGHT] >= 0.0:
+                out[s, m] = 0.5 * math.erfc(math.sqrt(0.5 * _squared_gap(row, poses[s, 0], poses[s, 1])))
+                share = out[s, m] * row[WEIGHT] * groups[index[m, 0]]
+                if share > largest:
+                    at_step, at_mode, largest = s, m, share
+    negligible = 0.0
+    if at_step >= 0:
+        x, y, heading = poses[at_step, 0], poses[at_step, 1], poses[at_step, 2]
+        cos, sin = math.cos(heading), math.sin(heading)
+        row, first, last = rows[at_step, at_mode], index[at_mode, 1], index[at_mode, 2]
+        r = row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, 0.0, 0.0, _ROUNDING, room)
+        if r > 0.0:
+            negligible = _ROUNDING * r * row[WEIGHT] * groups[index[at_mode, 0]] / (steps * modes)
+    minor = _ROUNDING if bounded else 0.0
+    for s in range(steps):
         x, y = poses[s, 0], poses[s, 1]
         cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
-        for m in range(index.shape[0]):
-            row = rows[first_step + s, m]
-            out[s, m] = np.nan
-            if not math.isnan(row[WEIGHT]):
-                out[s, m] = row_risk(
-                    address,
-                    options,
-                    order,
-                    row,
-                    pieces,
-                    index[m, 1],
-                    index[m, 2],
-                    x,
-                    y,
-                    cos,
-                    sin,
-                    0.0,
-                    scratch,
-                    extra,
-                )
+        for m in range(modes):
+            row = rows[s, m]
+            if not row[WEIGHT] >= 0.0 or (bounded and out[s, m] <= negligible):
+                continue
+            out[s, m] = row_risk(
+                fixed, row, index[m, 1], index[m, 2], x, y, cos, sin, negligible, 0.0, 0.0, minor, room
+            )
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -102,8 +123,11 @@ def charge(
     index,
     pieces,
     groups,
+    group_owner,
     additive,
-    negligible,
+    small,
+    caps,
+    suspect,
     given,
     poses,
     first_step,
@@ -115,75 +139,163 @@ def charge(
 
     A group is what accumulates by itself: one mode of an agent with persistent modes, or a whole agent with per-step
     modes. after[g] = before[g] − Σ log(1 − r_g) (or + Σ r_g if `additive`), total = Σ_g outer_g (1 − e^−after[g]).
-    Stops, returning a total above `limit`, as soon as the limit is passed.
+    Stops, returning a total above `limit`, as soon as the limit is passed. The mode that broke the limit last is asked
+    first: if it alone breaks it again, no other is.
 
     Args:
-        rows: (T, M, 7 + moments) of all agent modes on the grid, WEIGHT NaN before a prediction begins.
+        rows: (T, M, 9 + moments) of all agent modes on the grid, WEIGHT NaN before a prediction begins.
         index: (M, 3) group, first and last piece of each row.
-        groups: (G,) outer weights.
+        groups: (G,) outer weights; group_owner (G,) their agents, in order.
+        caps: on the risk of every step, over all agents, and on that of every agent so far; infinite for none. Above
+            one of them NaN is returned, which is within no limit.
+        small: (negligible, Φ⁻¹(negligible)², idle, floor): risk of a piece that is charged by a bound instead, and of
+            all modes together at one step, first come, first served; the least that the backend states of a piece. All
+            are 0 for backends that are no Gaussian's.
+        suspect: (1,) the row that broke the limit last, −1 for none; updated.
         given: (S, M) risks worked out elsewhere, or (0, 0).
     """
-    count = groups.shape[0]
-    step_risk = np.zeros(count)
+    steps = poses.shape[0]
+    room = (np.empty(pieces.shape[0]), np.empty((order + 1) ** 2), np.empty(ROOM))
+    fixed = (address, options, order, pieces)
+    elsewhere, idle = given.shape[0] > 0, small[2]
+    asked, likely = np.empty(steps), -1 if elsewhere or limit == np.inf else suspect[0]
+    if likely >= 0:
+        g = index[likely, 0]
+        if _breaks(
+            fixed,
+            rows[:, likely],
+            index[likely],
+            groups[g],
+            additive,
+            small,
+            poses,
+            first_step,
+            before[g],
+            limit,
+            asked,
+            room,
+        ):
+            return np.inf
+    step_risk = np.zeros(groups.shape[0])
     after[:] = before
-    scratch, out = np.empty(max((order + 1) ** 2, 1)), np.empty(2)
-    total = total_of(groups, after, additive)
-    for s in range(poses.shape[0]):
-        step = first_step + s
+    most = total_of(groups, after, additive)  # never below the total
+    for s in range(steps):
         x, y, heading = poses[s, 0], poses[s, 1], poses[s, 2]
         if not math.isfinite(x + y + heading):
             return np.nan
         cos, sin = math.cos(heading), math.sin(heading)
-        touched = False
+        spare = idle
         for m in range(index.shape[0]):
-            row = rows[step, m]
-            weight = row[WEIGHT]
-            if not weight > 0.0:  # NaN: the agent's prediction has not begun
-                continue
-            if given.shape[0] > 0:
-                r = given[s, m]
+            if m == likely:
+                r = asked[s]
+            elif elsewhere:
+                weight = rows[first_step + s, m, WEIGHT]
+                r = weight * given[s, m] if weight > 0.0 else 0.0
             else:
-                dx, dy = row[MEAN_X] - x, row[MEAN_Y] - y
-                if dx * dx + dy * dy > row[CULL]:
-                    continue
-                r = row_risk(
-                    address,
-                    options,
-                    order,
-                    row,
-                    pieces,
-                    index[m, 1],
-                    index[m, 2],
-                    x,
-                    y,
-                    cos,
-                    sin,
-                    negligible,
-                    scratch,
-                    out,
-                )
+                r = _mode_risk(fixed, rows[first_step + s, m], index[m], x, y, cos, sin, small, spare, room)
+                if r <= spare:
+                    spare -= r
+            if r == 0.0:
+                continue
             g = index[m, 0]
-            step_risk[g] += weight * r
-            touched = True
-            # one mode alone may break the budget
-            if groups[g] * step_risk[g] > limit:
+            step_risk[g] += r
+            if groups[g] * step_risk[g] > limit:  # one mode alone
+                suspect[0] = m
                 return np.inf
-        if not touched:
-            continue
-        for g in range(count):
-            r = step_risk[g]
-            if r > 0.0:
-                if additive:
-                    after[g] += r
-                else:
-                    after[g] -= math.log1p(-r) if r < 1.0 else -np.inf
-                step_risk[g] = 0.0
-            elif r != r:  # a backend that does not know must not pass for no risk
-                return np.inf
-        total = total_of(groups, after, additive)
-        if total > limit:
-            return total
-    return total
+        grown = _settle(step_risk, groups, after, additive)
+        if not grown <= caps[0] or (caps[1] < np.inf and _riskiest(groups, group_owner, after, additive) > caps[1]):
+            return np.nan
+        most += grown
+        if most > limit:
+            most = total_of(groups, after, additive)
+            if most > limit:
+                suspect[0] = _largest(groups, after, index)
+                return most
+    return total_of(groups, after, additive)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _breaks(fixed, rows, index, weight, additive, small, poses, first_step, spent, limit, asked, room):
+    """Whether one mode alone breaks the limit; fills asked (S,) with its risks on the way."""
+    for s in range(poses.shape[0]):
+        x, y = poses[s, 0], poses[s, 1]
+        cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
+        asked[s] = r = _mode_risk(fixed, rows[first_step + s], index, x, y, cos, sin, small, 0.0, room)
+        if r > 0.0:
+            spent = _spend(spent, r, additive)
+        if weight * (spent if additive else -math.expm1(-spent)) > limit:
+            return True
+    return False
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _spend(spent, risk, additive):
+    if additive:
+        return spent + risk
+    if risk < 1e-8:
+        return spent + risk * (1.0 + 1e-8)  # −log(1 − r) ≤ r + r²
+    return spent - math.log1p(-risk) if risk < 1.0 else np.inf
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _mode_risk(fixed, row, index, x, y, cos, sin, small, spare, room):
+    """Weighted risk of one agent mode at one step, by a bound where that is at most `spare`; 0 where it is culled."""
+    weight = row[WEIGHT]
+    if not weight > 0.0:
+        return 0.0
+    dx, dy = row[MEAN_X] - x, row[MEAN_Y] - y
+    r2 = dx * dx + dy * dy
+    if r2 > row[CULL]:
+        return 0.0
+    negligible, quantile, _, floor = small
+    if negligible > 0.0:
+        gap = math.sqrt(r2) - row[REACH]
+        spread = dx * dx * row[C11] + 2.0 * dx * dy * row[C12] + dy * dy * row[C22]
+        if gap > 0.0 and gap * gap * r2 > quantile * spread:
+            return weight * negligible  # the whole shape lies beyond a half-space as unlikely as that
+    minor = _MINOR if negligible > 0.0 else 0.0
+    return weight * row_risk(fixed, row, index[1], index[2], x, y, cos, sin, spare, negligible, floor, minor, room)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _settle(step_risk, groups, after, additive):
+    """Spend what the groups risk at a step, and forget it; returns by how much the total grows at most.
+
+    NaN if a backend does not know: that must not pass for no risk.
+    """
+    grown = 0.0
+    for g in range(groups.shape[0]):
+        r = step_risk[g]
+        if r > 0.0:
+            after[g] = _spend(after[g], r, additive)
+            grown += groups[g] * r
+        elif r != r:
+            return np.nan
+        step_risk[g] = 0.0
+    return grown
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _riskiest(groups, group_owner, accumulated, additive):
+    """The highest risk of one agent so far."""
+    top, own, agent = 0.0, 0.0, -1
+    for g in range(groups.shape[0]):
+        if group_owner[g] != agent:
+            own, agent = 0.0, group_owner[g]
+        own += groups[g] * (accumulated[g] if additive else -math.expm1(-accumulated[g]))
+        top = max(top, own)
+    return top
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _largest(groups, accumulated, index):
+    """A row of the group that has spent most."""
+    best = 0
+    for m in range(index.shape[0]):
+        g, h = index[m, 0], index[best, 0]
+        if groups[g] * accumulated[g] > groups[h] * accumulated[h]:
+            best = m
+    return best
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -191,6 +303,41 @@ def total_of(groups, accumulated, additive):
     """Total risk of the accumulators: the sum over agents."""
     total = 0.0
     for g in range(groups.shape[0]):
-        if accumulated[g] > 0.0:
-            total += groups[g] * (accumulated[g] if additive else -math.expm1(-accumulated[g]))
+        spent = accumulated[g]
+        if spent > 0.0:
+            total += groups[g] * (spent if additive or spent < 1e-8 else -math.expm1(-spent))
     return total
+
+
+@nb.njit(cache=True, error_model="numpy")
+def combine(values, rows, index, groups, group_owner, additive, per_agent, per_step):
+    """The risk of a whole trajectory from its marginals (S, M); the formulas of `checkers.trajectory_risk`, as charged.
+
+    Fills per_agent (A,) and per_step (S,), both zero before and at most 1 after. Returns Boole's sum, at most 1, and
+    the largest marginal of one agent at one step. NaN, before a prediction begins, counts for nothing.
+    """
+    spent, step_risk = np.zeros(groups.shape[0]), np.zeros(groups.shape[0])
+    boole = top = 0.0
+    for s in range(values.shape[0]):
+        for m in range(index.shape[0]):
+            weight = rows[s, m, WEIGHT]
+            if weight > 0.0:
+                step_risk[index[m, 0]] += weight * values[s, m]
+        agent, at_once = -1, 0.0
+        for g in range(groups.shape[0]):
+            if group_owner[g] != agent:
+                top, agent, at_once = max(top, at_once), group_owner[g], 0.0
+            r = step_risk[g]
+            if r > 0.0:
+                spent[g] = _spend(spent[g], r, additive)
+                at_once += groups[g] * r
+                per_step[s] += groups[g] * r
+                step_risk[g] = 0.0
+        top = max(top, at_once)
+        boole += per_step[s]
+        per_step[s] = min(per_step[s], 1.0)
+    for g in range(groups.shape[0]):
+        per_agent[group_owner[g]] += groups[g] * (spent[g] if additive else -math.expm1(-spent[g])) + 0.0
+    for a in range(per_agent.shape[0]):
+        per_agent[a] = min(per_agent[a], 1.0)
+    return min(boole, 1.0), min(top, 1.0)

@@ -157,7 +157,7 @@ def expand(vertex, speed, step, earliest, latest, goals, start, lengths, curves,
         for p in range(paces(lengths[e], speed, curvature, dt, soonest, last, limits, room)):
             steps, a = int(room[p, 0]), room[p, 1]
             after = speed + a * steps * dt
-            left = _least_time(distance[ends[e]], after, limits[ACCELERATION], limits[SPEED])
+            left = least_time(distance[ends[e]], after, limits[ACCELERATION], limits[SPEED])
             key = step + steps + left / dt
             # an edge that passes the goal's last step can still arrive on the way
             if step + steps < latest and key > latest + 1e-9:
@@ -168,7 +168,7 @@ def expand(vertex, speed, step, earliest, latest, goals, start, lengths, curves,
 
 
 @nb.njit(inline="always", error_model="numpy")
-def _least_time(distance, speed, acceleration, top):
+def least_time(distance, speed, acceleration, top):
     """Time to cover a straight distance at full acceleration up to the top speed."""
     if distance <= 0.0:
         return 0.0

@@ -23,7 +23,7 @@ def body_free(
     segments,
     inside,
 ):
-    """Whether the rectangle touches no boundary segment and its centre is allowed.
+    """Whether the rectangle touches no boundary segment and its centre is allowed; a disc where half_width < 0.
 
     Segments (E, 4) are bucketed in square cells: start (cells+1,), items; every segment that the body of a car centred
     in a cell can touch is listed there. inside (cells,): whether the cell's middle is allowed; the centre's own side
@@ -43,7 +43,10 @@ def body_free(
     odd = False
     for n in range(start[index], start[index + 1]):
         s = segments[items[n]]
-        if _clips(s, x, y, cos, sin, half_length, half_width):
+        if half_width < 0.0:
+            if _within(s, x, y, half_length):
+                return False
+        elif _clips(s, x, y, cos, sin, half_length, half_width):
             return False
         if _crosses(x, y, mx, my, s):
             odd = not odd
@@ -83,6 +86,16 @@ def _clips(s, x, y, cos, sin, half_length, half_width):
             if low > high:
                 return False
     return True
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _within(s, x, y, radius):
+    """Does the segment meet the disc?"""
+    dx, dy = s[2] - s[0], s[3] - s[1]
+    along = (x - s[0]) * dx + (y - s[1]) * dy
+    share = min(max(along / (dx * dx + dy * dy), 0.0), 1.0)
+    ex, ey = s[0] + share * dx - x, s[1] + share * dy - y
+    return ex * ex + ey * ey <= radius * radius
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -127,6 +140,32 @@ def goal_region(x, y, heading, speed, start, vertices, boxes, terms):
         if in_polygon(x, y, vertices[start[r] : start[r + 1]]):
             return r
     return -1
+
+
+@nb.njit(cache=True, error_model="numpy")
+def goal_distances(points, start, vertices, boxes, out):
+    """Fill out (N,) with the distance of points (N, 2) to the nearest of the polygons; 0 inside."""
+    for n in range(points.shape[0]):
+        x, y = points[n, 0], points[n, 1]
+        best = np.inf
+        for r in range(start.shape[0] - 1):
+            b = boxes[r]
+            if math.hypot(max(b[0] - x, 0.0, x - b[2]), max(b[1] - y, 0.0, y - b[3])) >= best:
+                continue
+            polygon = vertices[start[r] : start[r + 1]]
+            if in_polygon(x, y, polygon):
+                best = 0.0
+                break
+            j = polygon.shape[0] - 1
+            for i in range(polygon.shape[0]):
+                ax, ay = polygon[j, 0], polygon[j, 1]
+                dx, dy = polygon[i, 0] - ax, polygon[i, 1] - ay
+                squared = dx * dx + dy * dy
+                share = ((x - ax) * dx + (y - ay) * dy) / squared if squared > 0.0 else 0.0
+                share = min(max(share, 0.0), 1.0)
+                best = min(best, math.hypot(x - ax - share * dx, y - ay - share * dy))
+                j = i
+        out[n] = best
 
 
 @nb.njit(cache=True, error_model="numpy")

@@ -8,14 +8,15 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import shapely
+from ompl import base as ob
 
 from checkers import InputError
 from checkers.validate import Array
-from riskplan.kernels.car import pack_limits
 from riskplan.kernels.roadmap import ARRIVALS, connect, expand, traverse
 from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler, edge_scale
+from riskplan.ompl.validity import RiskMotionValidator
 from riskplan.search import Budget, Problem, SearchResult
+from riskplan.vehicles import curve_limits
 
 _SAME_SPEED = 1.0  # labels at one vertex and step compete within this [m/s]
 _KEPT = 4  # labels kept per vertex, step and speed
@@ -49,7 +50,7 @@ class Prm:
         """Search the roadmap; enlarge and search again until the goal is reached in budget, or time is up."""
         rng = np.random.default_rng(seed)
         size, roadmap, sampler = self.size, self.roadmap, None
-        if roadmap is not None and roadmap.radii.min() < 1.0 / problem.scenario.vehicle.max_curvature - 1e-9:
+        if roadmap is not None and roadmap.radii.min() < 1.0 / curve_limits(problem.scenario.vehicle).curvature - 1e-9:
             roadmap = Roadmap.of(roadmap.vertices, *edge_scale(problem.scenario))  # made for a nimbler car
         best: SearchResult | None = None
         counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
@@ -59,6 +60,7 @@ class Prm:
             if roadmap is None:
                 sampler = sampler or Sampler(problem.scenario, problem.world, seed)
                 roadmap = Roadmap.of(sampler.grow(size, budget.expired), *edge_scale(problem.scenario))
+                budget.iterations += size
             built = perf_counter() - began
             query = _Query(problem, budget, roadmap, rng)
             result = query.run()
@@ -72,7 +74,7 @@ class Prm:
                 break
             # larger at first; once large, or if a larger one would take what time is left, another one of that size
             before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
-            if size > _LARGEST or budget.left() < 8.0 * built:
+            if size > _LARGEST or (not budget.counted and budget.left() < 8.0 * built):
                 size, sampler, seed = min(before, _LARGEST), None, seed + 1
         return SearchResult(best.states, lowest, counters, best.edges)
 
@@ -83,34 +85,22 @@ class _Query:
     def __init__(self, problem: Problem, budget: Budget, roadmap: Roadmap, rng: np.random.Generator) -> None:
         self.problem, self.budget = problem, budget
         s = problem.scenario
-        self.limits = pack_limits(s.vehicle)
-        goals = _free_goals(problem, rng, 48)
-        start = np.array([problem.start_state[:3]])
-        self.vertices = np.concatenate([roadmap.vertices, goals, start])
-        self.source = len(self.vertices) - 1
-        args = (roadmap.radii, 2.0, roadmap.longest)
-        to_goal = connect(roadmap.vertices, goals, *args, 8)
-        begin = connect(start, self.vertices[:-1], *args, 10 * EDGES)
-        shift = len(roadmap.vertices)
-        self.goals = (shift, shift + len(goals))
-        ends = np.concatenate([roadmap.ends, to_goal[0] + [0, shift], begin[0] + [self.source, 0]])
-        order = np.argsort(ends[:, 0], kind="stable")
-        self.ends = np.ascontiguousarray(ends[order, 1])
-        self.curves = np.concatenate([roadmap.curves, to_goal[1], begin[1]])[order]
-        self.lengths = np.concatenate([roadmap.lengths, to_goal[2], begin[2]])[order]
-        self.start = np.searchsorted(ends[order, 0], np.arange(len(self.vertices) + 1))
-        region = shapely.union_all([shapely.Polygon(r.polygon).buffer(0) for r in s.goal.regions])
-        self.distance = shapely.distance(region, shapely.points(self.vertices[:, :2]))
+        self.validator = _motion_validator(problem)
+        self.limits = np.array(curve_limits(s.vehicle))
+        self.edges = _Edges(roadmap, np.array([problem.start_state[:3]]), _free_goals(problem, rng, 48))
+        self.distance = problem.goal.box_distances(self.edges.poses[:, :2])
 
     def run(self) -> SearchResult:
         """Best-first over lazily judged labels: a child is driven and charged when it is taken, not when it is made."""
         p, budget = self.problem, self.budget
         goal, dt = p.goal, p.scenario.time_step
         out = np.empty((max(goal.latest, 1), 4))
-        room = np.empty((self._widest() * ARRIVALS, 4))
+        room = np.empty((11 * EDGES * ARRIVALS, 4))
         # state, step, vertex, risk, total, parent, driven poses
         labels: list[tuple[Array, int, int, Array, float, int, Array]] = []
-        labels.append((np.array(p.start_state), 0, self.source, p.start_risk, p.start_total, -1, np.zeros((0, 4))))
+        labels.append(
+            (np.array(p.start_state), 0, self.edges.source, p.start_risk, p.start_total, -1, np.zeros((0, 4)))
+        )
         seen: dict[tuple[int, int, int], list[Array]] = {}
         heap: list[tuple[float, float, int, int, int, int, float]] = []
         serial, checked, best, lowest = 0, 0, -1, np.inf
@@ -118,22 +108,10 @@ class _Query:
         def push(number: int) -> None:
             nonlocal serial
             state, step, vertex, _, total, _, _ = labels[number]
-            count = expand(
-                vertex,
-                state[3],
-                step,
-                goal.earliest,
-                goal.latest,
-                self.goals,
-                self.start,
-                self.lengths,
-                self.curves,
-                dt,
-                self.limits,
-                self.ends,
-                self.distance,
-                room,
-            )
+            ends, curves, lengths = self.edges.out_of(vertex)
+            window, goals, pick = (goal.earliest, goal.latest), self.edges.goals, np.array([0, len(ends)])
+            graph = (goals, pick, lengths, curves, dt, self.limits, ends, self.distance)
+            count = expand(0, state[3], step, *window, *graph, room)
             for edge, steps, acceleration, key in room[:count].tolist():
                 serial += 1
                 rank = max(key, goal.earliest) if budget.bound is not None else _decade(total)
@@ -149,15 +127,16 @@ class _Query:
                 heapq.heappush(heap, entry)
 
         push(0)
-        while heap and not budget.expired():
+        while heap and not budget.over():
             _, _, _, number, edge, steps, acceleration = heapq.heappop(heap)
-            state, step, _, risk, total, _, _ = labels[number]
+            state, step, vertex, risk, total, _, _ = labels[number]
             if total > budget.limit:
                 continue
+            ends, curves, _ = self.edges.out_of(vertex)
             driven, arrived = traverse(
                 *state,
                 step,
-                self.curves[edge],
+                curves[edge],
                 steps,
                 acceleration,
                 dt,
@@ -170,15 +149,19 @@ class _Query:
             if driven == 0 or (not arrived and step + driven >= goal.latest):
                 continue
             after = np.empty_like(risk)
-            limit = np.inf if arrived else budget.limit
-            total = p.evaluator.charge(out[:driven, :3], step + 1, risk, limit, after)
+            limit = max(budget.limit, lowest) if arrived else budget.limit  # or while it may be the least risky seen
+            total = self.validator.charge(out[:driven, :3], step + 1, risk, limit, after)
             checked += driven
+            if arrived and total <= budget.limit:
+                path = np.concatenate([_states(labels, number), out[:driven]])
+                total = p.evaluator.confirmed(path[:, :3], total)
             if arrived:
                 lowest = min(lowest, total)
             if not total <= budget.limit:
                 continue
-            vertex, end = int(self.ends[edge]), out[driven - 1].copy()
-            if not arrived and not _undominated(seen, (vertex, step + driven, int(end[3] / _SAME_SPEED)), after):
+            vertex, end = int(ends[edge]), out[driven - 1].copy()
+            key = vertex, step + driven, int(end[3] / _SAME_SPEED)
+            if not arrived and not _undominated(seen, key, p.evaluator.levels(after)):
                 continue
             labels.append((end, step + driven, vertex, after, total, number, out[:driven].copy()))
             if arrived:
@@ -188,20 +171,64 @@ class _Query:
             else:
                 push(len(labels) - 1)
         counters = {
-            "vertices": len(self.vertices),
-            "edges": len(self.ends),
+            "vertices": len(self.edges.poses),
+            "edges": len(self.edges.roadmap.ends),
             "labels": len(labels),
             "checked_steps": checked,
         }
         return SearchResult(_states(labels, best), lowest, counters, self._edges(labels, dt))
 
-    def _widest(self) -> int:
-        return int(np.diff(self.start).max(initial=1))
-
     @staticmethod
     def _edges(labels: list[Any], dt: float) -> Array:
         rows = [(*labels[x[5]][0][:2], *x[0][:2], x[1] * dt) for x in labels[1:]]
         return np.array(rows).reshape(-1, 5)
+
+
+class _Edges:
+    """The roadmap's edges, and those from the start and into the goal, which are worked out where a search gets to.
+
+    Attributes:
+        poses: (V + G + 1, 3) of the roadmap's vertices, poses in the goal, and the start.
+        goals: first and last + 1 of those in the goal; source: the start.
+    """
+
+    def __init__(self, roadmap: Roadmap, start: Array, goals: Array) -> None:
+        self.roadmap = roadmap
+        self.poses = np.concatenate([roadmap.vertices, goals, start])
+        self.source = len(self.poses) - 1
+        self.goals = (len(roadmap.vertices), self.source)
+        self._known: dict[int, tuple[np.ndarray, Array, Array]] = {}
+
+    def out_of(self, vertex: int) -> tuple[np.ndarray, Array, Array]:
+        """Targets (E,), curves (E, 6) and lengths (E,) of the edges out of a vertex."""
+        if vertex not in self._known:
+            self._known[vertex] = self._from_start() if vertex == self.source else self._from(vertex)
+        return self._known[vertex]
+
+    def _from_start(self) -> tuple[np.ndarray, Array, Array]:
+        r = self.roadmap
+        ends, curves, lengths = connect(self.poses[-1:], self.poses[:-1], r.radii, 2.0, r.longest, 10 * EDGES)
+        return np.ascontiguousarray(ends[:, 1]), curves, lengths
+
+    def _from(self, vertex: int) -> tuple[np.ndarray, Array, Array]:
+        r, (first, last) = self.roadmap, self.goals
+        own = slice(r.rows[vertex], r.rows[vertex + 1]) if vertex < first else slice(0)
+        ends, curves, lengths = connect(
+            self.poses[vertex : vertex + 1], self.poses[first:last], r.radii, 2.0, r.longest, 8
+        )
+        ends = np.concatenate([r.ends[own, 1], ends[:, 1] + first])
+        return ends, np.concatenate([r.curves[own], curves]), np.concatenate([r.lengths[own], lengths])
+
+
+def _motion_validator(problem: Problem) -> RiskMotionValidator:
+    """Over poses and time, which is where the roadmap's edges are driven."""
+    space = ob.CompoundStateSpace()
+    space.addSubspace(ob.SE2StateSpace(), 1.0)
+    space.addSubspace(ob.TimeStateSpace(), 1.0)
+    checker, evaluator = problem.evaluator.checker, problem.evaluator
+    return RiskMotionValidator(
+        ob.SpaceInformation(space), problem.scenario.agents, problem.ego, checker, evaluator=evaluator
+    )
 
 
 def _states(labels: list[Any], last: int) -> Array | None:
@@ -234,9 +261,10 @@ def _decade(total: float) -> float:
 
 def _free_goals(problem: Problem, rng: np.random.Generator, count: int) -> Array:
     """Poses in the goal, free of the static world; may be fewer, or none."""
-    poses = [
-        (x, y, heading)
-        for x, y, heading, speed, _ in problem.goal_samples(rng, 4 * count).tolist()
-        if problem.goal.holds(x, y, heading, speed) and problem.world.free(x, y, heading)
-    ]
-    return np.array(poses[:count]).reshape(-1, 3)
+    poses: list[tuple[float, float, float]] = []
+    for x, y, heading, speed, _ in problem.goal_samples(rng, 4 * count).tolist():
+        if len(poses) == count:
+            break
+        if problem.goal.holds(x, y, heading, speed) and problem.world.free(x, y, heading):
+            poses.append((x, y, heading))
+    return np.array(poses).reshape(-1, 3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,17 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from checkers import InputError, checker
-from checkers.validate import Array, as_array
+from checkers.archive import read_arrays
+from checkers.validate import FARTHEST, Array, as_array
 from riskplan.kernels.roadmap import connect
 from riskplan.ompl.sampling import LaneSampler
 from riskplan.ompl.validity import RiskStateValidityChecker
 from riskplan.scene import Scenario
-from riskplan.world import StaticWorld, lane_segments
+from riskplan.vehicles import curve_limits
+from riskplan.world import StaticWorld
 
 EDGES = 16  # edges out of a vertex
+MOST, _MOST_RADII = 20_000, 16  # in a file: edges are made anew, which takes time in the square of the vertices
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +58,11 @@ class Roadmap:
         ends, curves, lengths = connect(vertices, vertices, radii, 2.0, longest, EDGES)
         return cls(vertices, ends, curves, lengths, radii, longest)
 
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """(V + 1,) where the edges out of each vertex begin: they are in its order."""
+        return np.searchsorted(self.ends[:, 0], np.arange(len(self.vertices) + 1))
+
     @classmethod
     def build(cls, scenario: Scenario, size: int = 1000, seed: int = 0) -> Roadmap:
         """Sample `size` vertices in the scenario's static world and connect them."""
@@ -72,15 +81,21 @@ class Roadmap:
         Raises:
             InputError: if the file is not a roadmap.
         """
+        data = read_arrays(path, "roadmap")
         try:
-            with np.load(path, allow_pickle=False) as data:
-                vertices, radii, longest = data["vertices"], data["radii"], float(data["longest"])
-        except FileNotFoundError:
-            raise InputError(f"{path}: no such file") from None
-        except (ValueError, OSError, EOFError, KeyError) as error:
+            for key in ("vertices", "radii", "longest"):
+                if key not in data:
+                    raise InputError(f"{key}: missing")
+            vertices, radii = data["vertices"], as_array("radii", data["radii"], ("R",))
+            longest = float(as_array("longest", data["longest"], (), largest=FARTHEST))
+            if not (radii > 0).all() or not longest > 0:
+                raise InputError(f"radii, longest: expected positive numbers, got {radii.tolist()}, {longest:g}")
+            if len(vertices) > MOST or len(radii) > _MOST_RADII:
+                raise InputError(f"expected at most {MOST} vertices and {_MOST_RADII} radii")
+            if np.shape(vertices) != (0, 3):
+                vertices = as_array("vertices", vertices, ("V", 3), largest=FARTHEST)
+        except (InputError, TypeError) as error:
             raise InputError(f"{path}: not a roadmap: {error}") from None
-        if not (np.ndim(radii) == 1 and (radii > 0).all()):
-            raise InputError(f"{path}: radii: expected positive numbers, got {radii!r}")
         return cls.of(vertices, radii, longest)
 
 
@@ -109,7 +124,7 @@ class Sampler:
             )
         )
         si.setMotionValidator(_AnyMotion(si))
-        lanes, box, rng = lane_segments(s), np.array(s.bounds), np.random.default_rng(seed)
+        lanes, box, rng = world.lanes, np.array(s.bounds), np.random.default_rng(seed)
         si.setValidStateSamplerAllocator(lambda info: LaneSampler(info, lanes, box, rng, world.free))
         si.setup()
         self._pdef = ob.ProblemDefinition(si)  # PRM segfaults without one
@@ -148,9 +163,9 @@ class _AnyMotion(ob.MotionValidator):
 
 def edge_scale(scenario: Scenario) -> tuple[Array, float]:
     """(turning radii, longest edge) that suit the speeds to be expected, and slower ones round tighter corners."""
-    v = scenario.vehicle
-    pace = min(v.max_speed, max(scenario.start.speed + 2.0, 5.0))
-    tightest = 1.0 / v.max_curvature
-    widest = max(tightest, pace * pace / v.max_lateral_acceleration)
+    v = curve_limits(scenario.vehicle)
+    pace = min(v.speed, max(scenario.start.speed + 2.0, 5.0))
+    tightest = 1.0 / v.curvature
+    widest = max(tightest, pace * pace / v.lateral)
     radii = [widest / 2**k for k in range(4) if widest / 2**k > tightest]
     return np.array([*radii, tightest]), max(2.0 * pace, 10.0)

@@ -14,14 +14,13 @@ from ompl import util as ou
 
 from checkers import InputError
 from checkers.validate import Array
-from riskplan.kernels.car import pack_limits
 from riskplan.kernels.motion import extend
-from riskplan.ompl.validity import RiskStateValidityChecker
+from riskplan.kernels.steer import NODE, STATE
+from riskplan.ompl.cost import Price
+from riskplan.ompl.validity import RiskMotionValidator, RiskStateValidityChecker
 from riskplan.search import Budget, Problem, SearchResult
-from riskplan.world import lane_segments
+from riskplan.vehicles import Vehicle
 
-# OMPL's nearest neighbour sees x, y [m] and these weights of heading [m/rad], speed [s] and time [m/s]
-_HEADING, _SPEED, _TIME = 3.0, 0.5, 4.0
 # the node's number rides along in the state, too small for the metric to see
 _NUMBER = 1e-9
 
@@ -50,59 +49,94 @@ class Rrt:
 
     def search(self, problem: Problem, budget: Budget, seed: int) -> SearchResult:
         """Grow the tree until the goal is reached within the budget, or time is up."""
+        return self.grow(problem, budget, seed).result()
+
+    def grow(self, problem: Problem, budget: Budget, seed: int, price: Price | None = None) -> Tree:
+        """The same; with a price, no node is kept from which the goal cannot be reached below its ceiling."""
         ou.setLogLevel(ou.LogLevel.LOG_NONE)
         ou.RNG.setSeed(seed + 1)  # OMPL turns 0 into 1
-        tree = _Tree(problem, budget, self.motion_steps)
-        space = _space(problem)
-        si = _space_information(space, problem, tree)
+        si = _space_information(problem)
+        weights = problem.scenario.vehicle.metric
+        validator = RiskMotionValidator(
+            si,
+            problem.scenario.agents,
+            problem.ego,
+            problem.evaluator.checker,
+            pose_time=lambda state: (state[0], state[1], state[2] / weights.heading, state[4] / weights.time),
+            evaluator=problem.evaluator,
+        )
+        tree = Tree(problem, budget, self.motion_steps, validator, price)
+        _attach(si, problem, tree)
         pdef = ob.ProblemDefinition(si)
         start = si.allocState()
-        tree.write(start, 0)
-        pdef.addStartState(start)
+        for number in range(tree.plant(problem.begun)):
+            tree.write(start, number)
+            pdef.addStartState(start)  # keeps a copy
         goal = _Goal(si, problem, np.random.default_rng(seed), lambda: tree.done)
         pdef.setGoal(goal)
         planner = oc.RRT(si)
         planner.setProblemDefinition(pdef)
         planner.setGoalBias(self.goal_bias)
         planner.setup()
-        planner.solve(ob.PlannerTerminationCondition(lambda: bool(tree.done or budget.expired())))
-        return tree.result()
+        planner.solve(ob.PlannerTerminationCondition(lambda: bool(tree.done or budget.over())))
+        return tree
 
 
-class _Tree:
+class Tree:
     """The nodes' numbers, outside OMPL: states, controls, parents and accumulated risk, one row each."""
 
-    def __init__(self, problem: Problem, budget: Budget, motion_steps: int) -> None:
-        self.problem, self.budget = problem, budget
+    def __init__(
+        self,
+        problem: Problem,
+        budget: Budget,
+        motion_steps: int,
+        validator: RiskMotionValidator,
+        price: Price | None = None,
+    ) -> None:
+        self.problem, self.budget, self.validator, self.price = problem, budget, validator, price
         self.steps = motion_steps
         self.count = 1
         self.done = False
         self.best: tuple[int, int] | None = None  # node and its last step in the goal
         groups = problem.evaluator.groups
-        self.nodes = np.zeros((1024, 5))
+        self.nodes = np.zeros((1024, NODE))
         self.risk = np.zeros((1024, groups))
-        self.total = np.zeros(1024)
+        self.total, self.cost = np.zeros(1024), np.zeros(1024)
         self.parent = np.full(1024, -1)
-        self.poses: list[Array] = [np.zeros((0, 4))]
-        self.nodes[0] = [*problem.start_state, 0]
+        self.poses: list[Array] = [np.zeros((0, STATE))]
+        self.controls: dict[int, tuple[float, float, float]] = {}  # of the motions that a control made
+        self.nodes[0] = [*problem.start_node, 0]
         self.risk[0], self.total[0] = problem.start_risk, problem.start_total
         self.motions = self.charges = 0
         self.lowest_seen = np.inf
-        limits = pack_limits(problem.scenario.vehicle)
+        vehicle = problem.scenario.vehicle
+        self.metric, self._kernel = vehicle.metric, vehicle.kernel.address
         goal = problem.goal
         self._fixed = (
             problem.scenario.time_step,
-            limits,
-            lane_segments(problem.scenario),
+            vehicle.limits,
+            problem.world.lanes,
             problem.world.packed,
         )
         self._goal = (goal.arrays, goal.earliest, goal.latest)
-        self._out = np.empty((motion_steps, 4))
+        self._out = np.empty((motion_steps, STATE))
+
+    def plant(self, states: Array) -> int:
+        """Grow the states (S, 5) of an earlier plan, as far as they are within the limit; how many nodes there are."""
+        for i, state in enumerate(states[: self._goal[2] - 1]):
+            self._out[0] = state
+            number = self.count - 1
+            if i + 1 >= self._goal[1] and self.problem.goal.holds(*state[:4]):
+                break  # an arrival ends a search, it begins none
+            if self._charge(number, 1, False) < 0:
+                break
+        return self.count
 
     def write(self, state: Any, number: int) -> None:
-        node = self.nodes[number]
-        state[0], state[1], state[2] = node[0], node[1], node[2] * _HEADING
-        state[3], state[4] = node[3] * _SPEED, node[4] * self._fixed[0] * _TIME
+        """Fill OMPL's state from a node."""
+        node, weights = self.nodes[number], self.metric
+        state[0], state[1], state[2] = node[0], node[1], node[2] * weights.heading
+        state[3], state[4] = node[3] * weights.speed, node[5] * self._fixed[0] * weights.time
         state[5] = number * _NUMBER
 
     def propagate(self, state: Any, control: Any, duration: float, out: Any) -> None:
@@ -112,11 +146,12 @@ class _Tree:
         u1, u2, u3 = control[0], control[1], control[2]
         number = -1
         self.motions += 1
-        driven, arrived, _, _, _ = extend(
-            self.nodes[parent], u1, u2, u3, self.steps, *self._fixed, *self._goal, self._out
+        driven, arrived = extend(
+            self._kernel, self.nodes[parent], u1, u2, u3, self.steps, *self._fixed, *self._goal, self._out
         )
         if driven:
             number = self._charge(parent, driven, arrived)
+            self.controls[number] = u1, u2, u3
         if number < 0:
             out[0], out[1], out[2], out[3], out[4] = state[0], state[1], state[2], state[3], state[4]
             out[5] = -1.0
@@ -127,18 +162,23 @@ class _Tree:
         if self.count == len(self.nodes):
             self._grow()
         number = self.count
-        first = int(self.nodes[parent, 4]) + 1
-        limit = np.inf if arrived else self.budget.limit
-        total = self.problem.evaluator.charge(
-            self._out[:driven, :3], first, self.risk[parent], limit, self.risk[number]
-        )
+        first = int(self.nodes[parent, 5]) + 1
+        if self.price is not None:
+            self.cost[number] = self.cost[parent] + self.price.least(self.nodes[parent], self._out[:driven])
+            if not self.cost[number] + self.price.ahead(self._out[driven - 1], first + driven - 1) < self.price.ceiling:
+                return -1
+        # an arrival counts while it may be the least risky seen
+        limit = max(self.budget.limit, self.lowest_seen) if arrived else self.budget.limit
+        total = self.validator.charge(self._out[:driven, :3], first, self.risk[parent], limit, self.risk[number])
         self.charges += driven
+        if arrived and total <= self.budget.limit:
+            total = self.problem.evaluator.confirmed(self._path(parent, self._out[:driven])[:, :3], total)
         if arrived:
             self.lowest_seen = min(self.lowest_seen, total)
         if not total <= self.budget.limit:
             return -1
-        self.nodes[number, :4] = self._out[driven - 1]
-        self.nodes[number, 4] = first + driven - 1
+        self.nodes[number, :STATE] = self._out[driven - 1]
+        self.nodes[number, STATE] = first + driven - 1
         self.total[number], self.parent[number] = total, parent
         self.poses.append(self._out[:driven].copy())
         self.count += 1
@@ -147,8 +187,23 @@ class _Tree:
             self.done = self.budget.found(total)
         return number
 
+    def drive(self, node: Array, risk: Array, u: Array) -> tuple[Array, Array, Array, float, bool] | None:
+        """A motion outside the tree: its states, the node and accumulators at its end, total, and whether it arrived.
+
+        None if the world, a limit of the vehicle or the bound is in the way.
+        """
+        u1, u2, u3 = u.tolist()
+        driven, arrived = extend(self._kernel, node, u1, u2, u3, self.steps, *self._fixed, *self._goal, self._out)
+        if not driven:
+            return None
+        states, after, first = self._out[:driven].copy(), np.empty_like(risk), int(node[STATE]) + 1
+        total = self.validator.charge(states[:, :3], first, risk, self.budget.limit, after)
+        if not total <= self.budget.limit:
+            return None
+        return states, np.append(states[-1], first + driven - 1), after, total, bool(arrived)
+
     def _grow(self) -> None:
-        for name in ("nodes", "risk", "total", "parent"):
+        for name in ("nodes", "risk", "total", "cost", "parent"):
             old = getattr(self, name)
             setattr(self, name, np.concatenate([old, np.zeros_like(old)]))
 
@@ -158,18 +213,24 @@ class _Tree:
         return float(self.total[round(number / _NUMBER)]) if number >= 0.0 else np.nan
 
     def result(self) -> SearchResult:
+        """The way to the best arrival, if there is one."""
         p = self.problem
         counters = {"nodes": self.count, "motions": self.motions, "checked_steps": self.charges}
         children, parents = self.nodes[1 : self.count], self.nodes[self.parent[1 : self.count]]
-        edges = np.column_stack([parents[:, :2], children[:, :2], children[:, 4] * p.scenario.time_step])
+        edges = np.column_stack([parents[:, :2], children[:, :2], children[:, 5] * p.scenario.time_step])
         if self.best is None:
             return SearchResult(None, self.lowest_seen, counters, edges)
-        parts, number = [], self.best[0]
+        number = self.best[0]
+        states = self._path(int(self.parent[number]), self.poses[number])
+        return SearchResult(states, self.lowest_seen, counters, edges)
+
+    def _path(self, number: int, last: Array) -> Array:
+        """(T, 5) from the start through a node and on."""
+        parts = [last]
         while number > 0:
             parts.append(self.poses[number])
             number = int(self.parent[number])
-        start = np.array([p.start_state])
-        return SearchResult(np.concatenate([start, *parts[::-1]]), self.lowest_seen, counters, edges)
+        return np.concatenate([np.array([self.problem.start_node]), *parts[::-1]])
 
 
 class _Goal(ob.GoalSampleableRegion):
@@ -177,7 +238,7 @@ class _Goal(ob.GoalSampleableRegion):
 
     def __init__(self, si: Any, problem: Problem, rng: np.random.Generator, done: Callable[[], bool]) -> None:
         super().__init__(si)
-        weights = np.array([1.0, 1.0, _HEADING, _SPEED, _TIME])
+        weights = np.array([1.0, 1.0, *problem.scenario.vehicle.metric])
         self._samples = cycle((problem.goal_samples(rng, 512) * weights).tolist())
         self._done = done
 
@@ -200,13 +261,15 @@ def _space(problem: Problem) -> Any:
     space = ob.RealVectorStateSpace(6)
     bounds = ob.RealVectorBounds(6)
     x0, y0, x1, y1 = s.bounds
-    top = max(s.vehicle.max_speed, s.start.speed)
+    weights = s.vehicle.metric
+    gained = s.vehicle.top_acceleration * s.steps * s.time_step
+    slow, fast = _speeds(s.vehicle, s.start.speed, gained)
     ranges = [
         (x0, x1),
         (y0, y1),
-        (-np.pi * _HEADING, np.pi * _HEADING),
-        (0.0, min(top, s.start.speed + s.vehicle.max_acceleration * s.steps * s.time_step) * _SPEED),
-        (0.0, problem.goal.latest * s.time_step * _TIME),
+        (-np.pi * weights.heading, np.pi * weights.heading),
+        (slow * weights.speed, fast * weights.speed),
+        (0.0, problem.goal.latest * s.time_step * weights.time),
         (-1.0, 1e-12),
     ]
     for i, (low, high) in enumerate(ranges):
@@ -216,16 +279,29 @@ def _space(problem: Problem) -> Any:
     return space
 
 
-def _space_information(space: Any, problem: Problem, tree: _Tree) -> Any:
+def _speeds(vehicle: Vehicle, start: float, gained: float) -> tuple[float, float]:
+    """Lowest and highest speed that can come about."""
+    top = vehicle.top_speed
+    fast = min(max(top, start), max(start, 0.0) + gained)
+    return (max(min(-top, start), min(start, 0.0) - gained) if vehicle.reverses else 0.0), fast
+
+
+def _space_information(problem: Problem) -> Any:
+    space = _space(problem)
     controls = oc.RealVectorControlSpace(space, 3)
     bounds = ob.RealVectorBounds(3)
     bounds.setLow(-1.0)
     bounds.setHigh(1.0)
     controls.setBounds(bounds)
-    si = oc.SpaceInformation(space, controls)
+    return oc.SpaceInformation(space, controls)
+
+
+def _attach(si: Any, problem: Problem, tree: Tree) -> None:
+    """The tree propagates, and what it found of a node's risk and of its motion decides."""
     si.setStatePropagator(tree.propagate)
     si.setPropagationStepSize(1.0)
     si.setMinMaxControlDuration(1, 1)
+    si.setMotionValidator(tree.validator)
     s = problem.scenario
     si.setStateValidityChecker(
         RiskStateValidityChecker(
@@ -238,4 +314,3 @@ def _space_information(space: Any, problem: Problem, tree: _Tree) -> Any:
         )
     )
     si.setup()
-    return si

@@ -79,10 +79,11 @@ class RiskStateValidityChecker(ob.StateValidityChecker):
 class RiskMotionValidator(ob.MotionValidator):
     """A motion is valid iff it goes forward in time and the risk at every grid step it passes is within a bound.
 
-    Between the ends the state space's own interpolation is followed. `charge` is the same evaluator for planners that
-    account for the total risk instead.
+    Between the ends the state space's own interpolation is followed. Planners that account for the total risk, as `rrt`
+    and `prm` do, ask `charge` for the poses they drive instead.
 
     Args: as for `RiskStateValidityChecker`; `static` is asked every half metre.
+        evaluator: made already from the same agents, ego and checker; None: a new one.
     """
 
     def __init__(
@@ -96,10 +97,11 @@ class RiskMotionValidator(ob.MotionValidator):
         pose_time: PoseTime | None = None,
         static: Callable[[float, float, float], bool] | None = None,
         times: Array | None = None,
+        evaluator: RiskEvaluator | None = None,
     ) -> None:
         super().__init__(si)
         self.step_bound = _bound(step_bound)
-        self.evaluator = _evaluator(agents, ego, checker, times)
+        self.evaluator = evaluator or _evaluator(agents, ego, checker, times)
         self._space = si.getStateSpace()
         self._pose_time = pose_time or pose_time_of(self._space)
         self._static = static
@@ -134,7 +136,7 @@ class RiskMotionValidator(ob.MotionValidator):
         return True
 
     def charge(self, poses: Array, first_step: int, before: Array, limit: float, after: Array) -> float:
-        """See `RiskEvaluator.charge`."""
+        """Total risk at the end of a motion over grid steps, see `RiskEvaluator.charge`."""
         return self.evaluator.charge(poses, first_step, before, limit, after)
 
 

@@ -13,6 +13,8 @@ from checkers.validate import Array
 
 Faces = NDArray[np.int64]
 
+SPECK = 0.03  # standard deviation added to each [m]: a certain position is still a visible dot
+
 
 def ellipses(means: Array, covariances: Array, sigmas: float, n: int = 28) -> Array:
     """Outlines (…, n, 2) at `sigmas` standard deviations of means (…, 2), covariances (…, 2, 2).
@@ -21,7 +23,7 @@ def ellipses(means: Array, covariances: Array, sigmas: float, n: int = 28) -> Ar
     so neighbouring ellipses never flip.
     """
     angle = 2 * np.pi * np.arange(n) / n
-    floor = 0.03**2  # a certain position is still a visible dot
+    floor = SPECK**2
     a = np.sqrt(covariances[..., 0, 0] + floor)[..., None]
     b = covariances[..., 0, 1][..., None] / a
     c = np.sqrt(np.maximum(covariances[..., 1, 1][..., None] + floor - b**2, 0.0))
@@ -39,6 +41,12 @@ def place(points: Array, pose: Array) -> Array:
 def rectangle(length: float, width: float) -> Array:
     """(4, 2) corners of a centred body, counter-clockwise."""
     return np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
+
+
+def disc(length: float, width: float, n: int = 24) -> Array:
+    """(n, 2) outline of a centred ellipse with these diameters."""
+    angle = 2 * np.pi * np.arange(n) / n
+    return np.column_stack([np.cos(angle), np.sin(angle)]) * [length / 2, width / 2]
 
 
 def fan(rings: Array) -> Faces:

@@ -9,7 +9,9 @@ import re
 from collections.abc import Sequence
 
 from riskplan.pictures import palette
-from riskplan.pictures.picture import SIGMAS, Picture
+from riskplan.pictures.agent_view import AgentView, agent_node
+from riskplan.pictures.camera import follow
+from riskplan.pictures.picture import Picture, legend
 
 
 def page(pic: Picture, script: str, commands: Sequence[bytes]) -> str:
@@ -20,10 +22,16 @@ def page(pic: Picture, script: str, commands: Sequence[bytes]) -> str:
         script: the viewer's JavaScript.
         commands: its messages, in order.
     """
+    near, _ = follow(pic)
     data = {
         "commands": [base64.b64encode(command).decode("ascii") for command in commands],
         "times": pic.times.tolist(),
-        "soFar": None if pic.so_far is None else [palette.number(risk) for risk in pic.so_far.tolist()],
+        "soFar": None if pic.so_far is None else [palette.claimed(pic.claim, risk) for risk in pic.so_far.tolist()],
+        "here": [palette.number(risk) for risk in pic.path_risk.tolist()] if len(pic.path) > 1 else None,
+        "near": near.distance,
+        "lead": near.target.tolist(),
+        "agents": [_agent_entry(i, agent) for i, agent in enumerate(pic.agents)],
+        "parts": [[label, node] for label, node, there in _parts(pic) if there],
     }
     parts = {
         "@TITLE@": html.escape(pic.title),
@@ -40,17 +48,29 @@ def page(pic: Picture, script: str, commands: Sequence[bytes]) -> str:
     return re.sub("@[A-Z]+@", lambda match: parts[match.group()], _TEMPLATE)
 
 
-def legend(pic: Picture) -> list[tuple[str, palette.Ramp, str, str]]:
-    """(label, ramp, low end, high end) of the colour scales that the picture uses."""
-    risk, weight, time = pic.limits
-    bars = []
-    if len(pic.path):
-        bars.append(("risk per step", palette.RISK, "0", palette.number(risk)))
-    if pic.agents:
-        bars.append((f"mode weight ({SIGMAS:g}σ)", palette.WEIGHT, "0", f"{weight:g}"))
-    if len(pic.tree):
-        bars.append(("search", palette.TIME, "0 s", f"{time:.3g} s"))
-    return bars
+def _parts(pic: Picture) -> list[tuple[str, str, bool]]:
+    """(label, node below /riskplan, whether there is one) of what can be shown and hidden as a whole."""
+    sampled = any(agent.futures.size or agent.dots.size for agent in pic.agents)
+    return [
+        ("agents", "agents", bool(pic.agents)),
+        ("modes", "modes", bool(pic.agents)),
+        ("samples", "samples", sampled),
+        ("search", "tree", len(pic.tree) > 0),
+        ("ellipsoid", "ego/shape", bool(pic.ego_rings)),
+        ("plan", "plan", len(pic.path) > 1),
+        ("goal", "goal", bool(pic.goals)),
+    ]
+
+
+def _agent_entry(i: int, agent: AgentView) -> dict[str, object]:
+    weights = agent.weights[0].tolist()
+    return {
+        "name": agent.name or f"agent {i}",
+        "colour": agent.colour,
+        "node": agent_node(i, agent.name),
+        "modes": [[f"{weight:.2g}", f"modes/{i}/{mode}"] for mode, weight in enumerate(weights)],
+        "samples": f"samples/{i}",
+    }
 
 
 def _bar(label: str, ramp: palette.Ramp, low: str, high: str) -> str:
@@ -86,10 +106,20 @@ body { margin: 0; overflow: hidden; background: @GROUND@; color: @INK@;
 #play, #legend { border-radius: 10px; background: rgba(255,255,255,.95);
   box-shadow: 0 1px 6px rgba(20,30,40,.28); }
 .dg.main { opacity: .55; }
+#show { position: absolute; right: 20px; bottom: 16px; padding: 10px 16px; border-radius: 10px; max-width: 300px;
+  max-height: calc(100vh - 90px); overflow: auto; background: rgba(255,255,255,.95);
+  box-shadow: 0 1px 6px rgba(20,30,40,.28); font-size: 14px; }
+#show summary { cursor: pointer; font-weight: 600; } #show label { display: inline-block; margin-right: 12px; }
+#show .agent { display: flex; flex-wrap: wrap; gap: 0 4px; padding: 4px 0; border-top: 1px solid @GROUND@; }
+#show .agent > label:first-child { flex: 1 0 100%; overflow-wrap: anywhere; }
+#show .agent b { display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 5px; }
+#show .agent > label:not(:first-child) { color: @FAINT@; margin-left: 20px; margin-right: 0; }
+#failed { display: none; position: absolute; left: 50%; top: 50%; transform: translate(-50%, -50%); max-width: 34em;
+  padding: 18px 24px; border-radius: 10px; background: #fff; border: 2px solid #dc2a36; }
 #play button { width: 40px; height: 34px; border: 0; border-radius: 8px; background: @GROUND@;
   font-size: 15px; cursor: pointer; }
-#play input[type=range] { width: 300px; }
-#play output { min-width: 15em; font-size: 17px; font-variant-numeric: tabular-nums; white-space: pre; }
+#play input[type=range] { width: 260px; }
+#play output { min-width: 21em; font-size: 17px; font-variant-numeric: tabular-nums; white-space: pre; }
 </style>
 </head>
 <body>
@@ -97,7 +127,26 @@ body { margin: 0; overflow: hidden; background: @GROUND@; color: @INK@;
 <div id="legend"><h1>@TITLE@</h1><dl>@FACTS@</dl>@BARS@</div>
 <div id="play"><button id="toggle" title="play or pause">&#10074;&#10074;</button>
 <input id="time" type="range" min="0" max="1" step="any" value="0" aria-label="time">
-<output id="now"></output><label><input id="follow" type="checkbox"> follow</label></div>
+<output id="now"></output>
+<label title="the camera goes with the ego"><input id="follow" type="checkbox"> follow</label></div>
+<details id="show" open><summary>show</summary><div id="parts"></div></details>
+<div id="failed" role="alert"></div>
+<script>
+"use strict";
+function failed(why) {
+  const box = document.getElementById("failed");
+  if (box.textContent) return;  // what came first is the reason of the rest
+  box.textContent = why;
+  box.style.display = "block";
+  for (const id of ["play", "show"]) document.getElementById(id).style.display = "none";
+}
+window.addEventListener("error", event => failed("The scene cannot be drawn: " + event.message));
+const probe = document.createElement("canvas");
+if (!(probe.getContext("webgl2") || probe.getContext("webgl")))
+  failed("This browser offers no WebGL, which the 3-D view needs: turn on hardware acceleration, or use another " +
+         "browser. `riskplan render … --view top` draws a top view (.png, .gif, .mp4) instead.");
+else if (window.innerWidth < 900) document.getElementById("show").open = false;
+</script>
 <script>@VIEWER@</script>
 <script>
 "use strict";
@@ -110,22 +159,61 @@ for (const text of data.commands) {
 }
 viewer.controls.maxPolarAngle = 0.49 * Math.PI;
 const player = viewer.animator, end = data.times[data.times.length - 1];
-const [toggle, time, follow, now] =
-  ["toggle", "time", "follow", "now"].map(id => document.getElementById(id));
-const root = viewer.scene_tree.find(["riskplan"]).object, home = root.position.clone();
-const ego = viewer.scene_tree.find(["riskplan", "ego"]).object;
+const [toggle, time, follow, now, parts] =
+  ["toggle", "time", "follow", "now", "parts"].map(id => document.getElementById(id));
+
+// `find` would make what it does not find
+function node(path) {
+  let at = viewer.scene_tree.children.riskplan;
+  for (const name of path.split("/")) at = at && at.children[name];
+  return at;
+}
+function box(into, label, paths, colour) {
+  const row = document.createElement("label"), check = document.createElement("input");
+  check.type = "checkbox";
+  check.checked = true;
+  check.dataset.node = paths[0];
+  check.onchange = () => {
+    for (const path of paths) if (node(path)) node(path).set_property("visible", check.checked);
+    viewer.set_dirty();
+  };
+  row.append(check);
+  if (colour) row.append(Object.assign(document.createElement("b"), {style: "background:" + colour}));
+  row.append(label);
+  into.append(row);
+}
+for (const [label, path] of data.parts) box(parts, label, [path]);
+for (const agent of data.agents) {
+  const row = document.createElement("div");
+  row.className = "agent";
+  box(row, agent.name, [agent.node, agent.samples, ...agent.modes.map(m => m[1])], agent.colour);
+  for (const [weight, path] of agent.modes) box(row, weight, [path]);
+  document.getElementById("show").append(row);
+}
+if (data.agents.length > 8) document.getElementById("show").open = false;
+
+const root = viewer.scene_tree.children.riskplan.object;
+const home = root.position.clone(), ego = node("ego").object, far = viewer.camera.position.length();
 time.max = end;
 toggle.onclick = () => player.playing ? player.pause() : player.play();
 time.oninput = () => { player.pause(); player.seek(+time.value); player.display_progress(+time.value); };
-follow.onchange = () => { if (!follow.checked) root.position.copy(home); viewer.set_dirty(); };
+follow.onchange = () => {
+  viewer.camera.position.setLength(follow.checked ? data.near : far);
+  if (!follow.checked) root.position.copy(home);
+  viewer.set_dirty();
+};
 function show() {
   const t = Math.min(player.time, end);
   let k = data.times.length - 1;
   while (k > 0 && data.times[k] > t + 1e-6) k--;
-  now.textContent = "t = " + t.toFixed(1) + " s" + (data.soFar ? "   risk so far " + data.soFar[k] : "");
+  const here = data.here ? "   this step " + data.here[k] : "";
+  now.textContent = "t = " + t.toFixed(1) + " s" + here + (data.soFar ? "   so far " + data.soFar[k] : "");
   toggle.textContent = player.playing ? "\u275A\u275A" : "\u25B6";
   time.value = t;
-  if (follow.checked) { root.position.copy(ego.position).negate(); viewer.set_dirty(); }
+  if (follow.checked) {
+    root.position.set(-ego.position.x - data.lead[0], -ego.position.y - data.lead[1], 0);
+    viewer.set_dirty();
+  }
 }
 (function loop() { requestAnimationFrame(loop); show(); })();
 </script>

@@ -21,6 +21,7 @@ CASING = "#14181d"
 GLASS = "#26303b"
 TYRE = "#15181c"
 CARGO = "#e8e6e2"
+SKIN = "#e3b48f"
 INK = "#1b2430"
 FAINT_INK = "#5d6875"
 OBSTACLE = "#9aa3ad"
@@ -51,6 +52,11 @@ def tree_alpha(edges: int) -> float:
     return float(np.clip(18.0 / np.sqrt(max(edges, 1)), 0.15, 0.6))
 
 
+def futures_alpha(lines: int) -> float:
+    """Opacity of sampled futures: a single one is clear, a thousand still let each other through."""
+    return float(np.clip(3.0 / np.sqrt(max(lines, 1)), 0.1, 0.8))
+
+
 def round_up(value: float) -> float:
     """The smallest d · 10ⁿ (d = 1 … 9) that is ≥ value > 0: the end of a legend's scale."""
     exponent = int(np.floor(np.log10(value)))
@@ -59,5 +65,13 @@ def round_up(value: float) -> float:
 
 
 def number(value: float) -> str:
-    """A probability for people: two digits, plain down to 0.0001."""
-    return f"{value:.2g}" if value == 0.0 or abs(value) >= 1e-4 else f"{value:.1e}"
+    """A probability for people: two digits, plain down to 0.0001; what is below any meaning is said to be."""
+    if value < 1e-12:
+        return "< 1e-12"
+    return f"{value:.2g}" if value >= 1e-4 else f"{value:.1e}"
+
+
+def claimed(claim: str, value: float) -> str:
+    """A number with what it claims, "≤ " say, in front; "< 1e-12" needs none."""
+    text = number(value)
+    return text if text.startswith("<") else claim + text

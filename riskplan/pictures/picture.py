@@ -13,33 +13,14 @@ import numpy as np
 from checkers import EgoShape, Kind
 from checkers.validate import Array
 from riskplan.pictures import geometry, palette
+from riskplan.pictures.agent_view import AgentView, Detail, agent_view
 from riskplan.result import Plan
 from riskplan.rounding import by_kind
-from riskplan.scene import Agent, Scenario
+from riskplan.scene import Scenario
 
 SIGMAS = 2.0
 _MOST_EDGES = 20_000
 _CLAIM = {Kind.EXACT: "", Kind.UPPER_BOUND: "≤ ", Kind.ESTIMATE: "≈ "}
-
-
-@dataclass(frozen=True, eq=False)
-class AgentView:
-    """One agent.
-
-    Attributes:
-        name, colour, length, width: label, "#rrggbb", size [m].
-        track: (T, 3) poses of the most likely mode at `Picture.times`.
-        weights, means, covariances: (S, K), (S, K, 2), (S, K, 2, 2) of the shown steps of the prediction.
-    """
-
-    name: str
-    colour: str
-    length: float
-    width: float
-    track: Array
-    weights: Array
-    means: Array
-    covariances: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +32,12 @@ class Picture:
         times: (T,) of the animation [s].
         ego: (T, 3) poses; at rest without a plan.
         ego_size: length, width [m].
+        ego_round: whether its body is a disc.
         ego_rings: outlines (N, 2) in the ego frame of what agents' centres must stay out of.
         path: (P, 3) poses of the plan; empty without one.
         path_risk: (P,) risk of each step.
         so_far: (T,) risk up to each time, or None if the plan does not tell.
+        claim: what `total risk` claims: "", "≤ " or "≈ ".
         tree: (E, 5) edges of the search x0, y0, x1, y1, time; at most 20,000, evenly picked.
         road, edges, dividers: polygons (N, 2), closed lines, lines to be dashed.
         obstacles, goals: polygons (N, 2).
@@ -68,10 +51,12 @@ class Picture:
     times: Array
     ego: Array
     ego_size: tuple[float, float]
+    ego_round: bool
     ego_rings: tuple[Array, ...]
     path: Array
     path_risk: Array
     so_far: Array | None
+    claim: str
     tree: Array
     road: tuple[Array, ...]
     edges: tuple[Array, ...]
@@ -82,8 +67,15 @@ class Picture:
     limits: tuple[float, float, float]
     window: tuple[float, float, float, float]
 
+    @property
+    def stroke(self) -> float:
+        """How broad lines on the ground are, 1 for a car: a robot of half a metre drives in a smaller world."""
+        return float(np.clip(self.ego_size[1] / 1.8, 0.3, 1.0))
 
-def picture(scenario: Scenario, plan: Plan | None = None, title: str | None = None) -> Picture:
+
+def picture(
+    scenario: Scenario, plan: Plan | None = None, title: str | None = None, detail: Detail | None = None
+) -> Picture:
     """Collect what there is to see; `plan` may be None or unsolved."""
     start = scenario.start
     origin = np.array([start.x, start.y])
@@ -97,7 +89,7 @@ def picture(scenario: Scenario, plan: Plan | None = None, title: str | None = No
     path_risk = np.nan_to_num(risk.per_step) if risk is not None else np.zeros(len(path))
     end = float(scenario.times[-1])
     agents = tuple(
-        _agent_view(agent, palette.AGENTS[i % len(palette.AGENTS)], times, origin, end)
+        agent_view(agent, palette.AGENTS[i % len(palette.AGENTS)], times, origin, end, detail or Detail())
         for i, agent in enumerate(scenario.agents)
     )
     goals = tuple(region.polygon - origin for region in scenario.goal.regions)
@@ -110,11 +102,13 @@ def picture(scenario: Scenario, plan: Plan | None = None, title: str | None = No
         facts=_facts(plan),
         times=times,
         ego=ego,
-        ego_size=(scenario.vehicle.length, scenario.vehicle.width),
+        ego_size=scenario.vehicle.body,
+        ego_round=scenario.vehicle.disc,
         ego_rings=rings,
         path=path,
         path_risk=path_risk,
         so_far=_so_far(scenario, plan),
+        claim=_CLAIM[risk.kind] if risk is not None else "",
         tree=tree,
         road=road,
         edges=tuple(geometry.union_rings(road, inset=0.5)),
@@ -129,38 +123,6 @@ def picture(scenario: Scenario, plan: Plan | None = None, title: str | None = No
         ),
         window=_window(ego, rings, goals, agents),
     )
-
-
-def _agent_view(agent: Agent, colour: str, times: Array, origin: Array, end: float) -> AgentView:
-    likely = int(agent.step_weights.sum(axis=0).argmax())
-    at = agent.means[:, likely] - origin
-    heading = _course(at) if agent.headings is None else np.unwrap(agent.headings[:, likely])
-    track = np.column_stack([np.interp(times, agent.times, column) for column in (*at.T, heading)])
-    shown = np.flatnonzero(agent.times <= end + 1e-6)
-    # some thirty ellipses a mode are enough to see it move, and few enough to see through
-    shown = shown[:: max(1, -(-len(shown) // 30))]
-    return AgentView(
-        name=agent.name,
-        colour=colour,
-        length=agent.length or 4.5,
-        width=agent.width or 1.8,
-        track=track,
-        weights=agent.step_weights[shown],
-        means=agent.means[shown] - origin,
-        covariances=agent.covariances[shown],
-    )
-
-
-def _course(points: Array) -> Array:
-    """(T,) direction of motion; held while the point rests, 0 if it never moves."""
-    if len(points) < 2:
-        return np.zeros(len(points))
-    step = np.gradient(points, axis=0)
-    moving = np.flatnonzero(np.linalg.norm(step, axis=-1) > 1e-3)
-    if not len(moving):
-        return np.zeros(len(points))
-    angle = np.unwrap(np.arctan2(step[moving, 1], step[moving, 0]))
-    return np.asarray(np.interp(np.arange(len(points)), moving, angle))
 
 
 class _Point(NamedTuple):
@@ -216,23 +178,48 @@ def _facts(plan: Plan | None) -> tuple[tuple[str, str], ...]:
     return tuple(facts)
 
 
-def _so_far(scenario: Scenario, plan: Plan | None) -> Array | None:
-    """(T,) risk up to each step, independent in time; None unless it ends at the plan's own total."""
-    if plan is None or plan.risk is None or len(plan.marginals) != len(scenario.agents):
-        return None
-    total = np.zeros(len(plan.times))
+def legend(pic: Picture) -> list[tuple[str, palette.Ramp, str, str]]:
+    """(label, ramp, low end, high end) of the colour scales that the picture uses."""
+    risk, weight, time = pic.limits
+    bars = []
+    if pic.path_risk.any():
+        bars.append(("risk per step", palette.RISK, "0", palette.number(risk)))
+    if pic.agents:
+        bars.append((f"mode weight ({SIGMAS:g}σ)", palette.WEIGHT, "0", f"{weight:g}"))
+    if len(pic.tree):
+        bars.append(("search", palette.TIME, "0 s", f"{time:.3g} s"))
+    return bars
+
+
+def spent(scenario: Scenario, plan: Plan) -> Array:
+    """(T, A) risk of each agent up to each step of the plan, steps being independent; no columns if it does not tell.
+
+    `dependence="boole"` adds the steps instead.
+    """
+    if plan.risk is None or len(plan.marginals) != len(scenario.agents):
+        return np.zeros((len(plan.times), 0))
+    columns = []
     for agent, marginal in zip(scenario.agents, plan.marginals, strict=True):
         by_mode = np.clip(np.nan_to_num(marginal), 0.0, 1.0 - 1e-16)
         if agent.weights.ndim == 2:
             weights = np.stack([np.interp(plan.times, agent.times, w) for w in agent.weights.T], axis=-1)
         else:
             weights = agent.weights
-        if agent.modes == "persistent":
-            total += -np.expm1(np.cumsum(np.log1p(-by_mode), axis=0)) @ weights
+        if plan.settings.get("dependence") == "boole":
+            columns.append(np.cumsum((weights * by_mode).sum(axis=-1)))
+        elif agent.modes == "persistent":
+            columns.append(-np.expm1(np.cumsum(np.log1p(-by_mode), axis=0)) @ weights)
         else:
-            total += -np.expm1(np.cumsum(np.log1p(-(weights * by_mode).sum(axis=-1))))
-    total = np.minimum(total, 1.0)
-    return total if np.isclose(total[-1], float(plan.risk.total), rtol=1e-6, atol=1e-15) else None
+            columns.append(-np.expm1(np.cumsum(np.log1p(-(weights * by_mode).sum(axis=-1)))))
+    return np.stack(columns, axis=-1) if columns else np.zeros((len(plan.times), 0))
+
+
+def _so_far(scenario: Scenario, plan: Plan | None) -> Array | None:
+    """(T,) risk up to each step; None unless it ends at the plan's own total."""
+    if plan is None or plan.risk is None:
+        return None
+    total = np.minimum(spent(scenario, plan).sum(axis=-1), 1.0)
+    return total if len(total) and np.isclose(total[-1], float(plan.risk.total), rtol=1e-6, atol=1e-15) else None
 
 
 def _window(

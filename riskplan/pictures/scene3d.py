@@ -5,7 +5,6 @@ Nothing here starts meshcat's server: `Recorder` stands in for its window and ke
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,12 +17,27 @@ import umsgpack  # type: ignore[import-untyped]
 
 from checkers.validate import Array
 from riskplan.pictures import geometry, palette, solids
-from riskplan.pictures.camera import look
-from riskplan.pictures.picture import SIGMAS, AgentView, Picture
+from riskplan.pictures.agent_view import AgentView, agent_node
+from riskplan.pictures.camera import Camera, look
+from riskplan.pictures.picture import SIGMAS, Picture
 from riskplan.pictures.solids import Mesh, flat, merge
 
 # Flat things write no depth and are drawn in this order, all at z = 0: nothing to flicker, whatever the zoom.
-_LAYERS = ("road", "lines", "goal", "tree", "ellipses", "rims", "casing", "plan", "shadow", "shape")
+_LAYERS = (
+    "road",
+    "lines",
+    "goal",
+    "tree",
+    "dots",
+    "futures",
+    "ellipses",
+    "rims",
+    "now",
+    "casing",
+    "ribbon",
+    "shadow",
+    "shape",
+)
 
 
 class Recorder:
@@ -69,14 +83,14 @@ def viewer_script() -> str:
     return (Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js").read_text(encoding="utf-8")
 
 
-def messages(pic: Picture) -> list[bytes]:
+def messages(pic: Picture, camera: Camera | None = None) -> list[bytes]:
     """The scene as the viewer's messages, the animation last."""
     recorder = Recorder()
-    draw(meshcat.Visualizer(window=recorder), pic)
+    draw(meshcat.Visualizer(window=recorder), pic, camera)
     return [umsgpack.packb(command) for command in recorder.commands]
 
 
-def draw(vis: Any, pic: Picture) -> None:
+def draw(vis: Any, pic: Picture, camera: Camera | None = None) -> None:
     """Build the scene under `/riskplan` of a `meshcat.Visualizer`; the animation command comes last."""
     _stage(vis)
     for name, mesh in _ground(pic):
@@ -85,27 +99,26 @@ def draw(vis: Any, pic: Picture) -> None:
         _put(vis, f"obstacles/{i}", solids.column(polygon, 1.8, palette.OBSTACLE))
     if len(pic.tree):
         _tree(vis, pic)
+    clips = {"ego": _clip(pic.times, pic.ego)}
     for i, agent in enumerate(pic.agents):
+        _sampled(vis, i, agent)
         for mode in range(agent.means.shape[1]):
-            fill, rim = _mode_meshes(agent, mode, pic.limits[1])
-            _put(vis, f"modes/{i}/{mode}/ellipses", fill, "ellipses")
-            _put(vis, f"modes/{i}/{mode}/rims", rim, "rims")
-    _body(vis, "ego", *pic.ego_size, palette.EGO)
-    shape = [solids.curtain(ring[:-1], 0.9, palette.EGO) for ring in pic.ego_rings]
+            node = f"modes/{i}/{mode}"
+            for name, mesh in _mode_meshes(agent, mode, pic.limits[1], 0.15 * pic.stroke).items():
+                _put(vis, f"{node}/{name}", mesh, name)
+            clips[f"{node}/now"] = _ellipse_clip(pic.times, agent.now[1][:, mode], agent.now[2][:, mode])
+    ego = solids.robot(pic.ego_size[0], palette.EGO) if pic.ego_round else solids.body(*pic.ego_size, palette.EGO)
+    _body(vis, "ego", ego, *pic.ego_size)
+    shape = [solids.curtain(ring[:-1], 0.9 * pic.stroke, palette.EGO) for ring in pic.ego_rings]
     if shape:
         _put(vis, "ego/shape", merge(shape), "shape")
-    names = [agent_node(i, agent.name) for i, agent in enumerate(pic.agents)]
-    for name, agent in zip(names, pic.agents, strict=True):
-        _body(vis, name, agent.length, agent.width, agent.colour)
-    _camera(vis, pic)
-    tracks = {"ego": pic.ego, **{name: agent.track for name, agent in zip(names, pic.agents, strict=True)}}
-    clips = {vis[f"/riskplan/{name}"].path: _clip(pic.times, track) for name, track in tracks.items()}
-    vis.set_animation(meshcat.animation.Animation(clips), play=True, repetitions=1_000_000_000)
-
-
-def agent_node(index: int, name: str) -> str:
-    """Path below `/riskplan` of an agent's body; a slash in its name would split the path."""
-    return f"agents/{index}-{re.sub('[^A-Za-z0-9_.-]+', '-', name)}"
+    for i, agent in enumerate(pic.agents):
+        name = agent_node(i, agent.name)
+        _body(vis, name, solids.body(agent.length, agent.width, agent.colour), agent.length, agent.width)
+        clips[name] = _clip(pic.times, agent.track)
+    _camera(vis, camera or look(pic))
+    animation = meshcat.animation.Animation({vis[f"/riskplan/{name}"].path: clip for name, clip in clips.items()})
+    vis.set_animation(animation, play=True, repetitions=1_000_000_000)
 
 
 def _stage(vis: Any) -> None:
@@ -133,13 +146,13 @@ def _put(vis: Any, name: str, mesh: Mesh, layer: str | None = None) -> None:
 
 
 def _layer(name: str) -> str:
-    return name.split("/")[0]
+    return next(part for part in reversed(name.split("/")) if part in _LAYERS)
 
 
 def _ground(pic: Picture) -> Iterator[tuple[str, Mesh]]:
     asphalt, white = palette.rgb(palette.ASPHALT), palette.rgb(palette.LINE)
     yield "road", merge([flat(polygon, geometry.triangulate(polygon), asphalt) for polygon in pic.road])
-    solid = [_band(line, 0.18, white) for line in pic.edges]
+    solid = [_band(line, 0.18 * pic.stroke, white) for line in pic.edges]
     dashed = [_band(dash, 0.15, white) for line in pic.dividers for dash in geometry.dashes(line)]
     if solid + dashed:
         yield "lines", merge(solid + dashed)
@@ -147,12 +160,18 @@ def _ground(pic: Picture) -> Iterator[tuple[str, Mesh]]:
     for i, polygon in enumerate(pic.goals):
         fill = flat(polygon, geometry.triangulate(polygon), np.array([*goal, 0.25]))
         closed = np.concatenate([polygon, polygon[:1]])
-        yield f"goal/{i}", merge([fill, _band(closed, 0.2, np.array([*goal, 0.9]))])
+        yield f"goal/{i}", merge([fill, _band(closed, 0.3 * pic.stroke, np.array([*goal, 0.9]))])
     if len(pic.path) > 1:
         left = np.column_stack([-np.sin(pic.path[:, 2]), np.cos(pic.path[:, 2])])
         shade = palette.ramp(palette.RISK, pic.path_risk / pic.limits[0])
-        yield "casing", flat(*geometry.strip(pic.path[:, :2], left, 0.95), palette.rgb(palette.CASING))
-        yield "plan", flat(*geometry.strip(pic.path[:, :2], left, 0.70), np.concatenate([shade, shade]))
+        yield (
+            "plan/casing",
+            flat(*geometry.strip(pic.path[:, :2], left, 0.95 * pic.stroke), palette.rgb(palette.CASING)),
+        )
+        yield (
+            "plan/ribbon",
+            flat(*geometry.strip(pic.path[:, :2], left, 0.70 * pic.stroke), np.concatenate([shade, shade])),
+        )
 
 
 def _band(line: Array, width: float, colour: Array) -> Mesh:
@@ -160,50 +179,101 @@ def _band(line: Array, width: float, colour: Array) -> Mesh:
 
 
 def _tree(vis: Any, pic: Picture) -> None:
-    ends = pic.tree[:, :4].reshape(-1, 2)
-    position = np.column_stack([ends, np.zeros(len(ends))])
     colour = np.repeat(palette.ramp(palette.TIME, pic.tree[:, 4] / max(pic.limits[2], 1e-9)), 2, axis=0)
-    opacity = palette.tree_alpha(len(pic.tree))
-    points = g.PointsGeometry(position.T.astype(np.float32), colour.T.astype(np.float32))
+    _hairlines(vis, "tree", pic.tree[:, :4].reshape(-1, 2), colour, palette.tree_alpha(len(pic.tree)))
+
+
+def _sampled(vis: Any, i: int, agent: AgentView) -> None:
+    """Futures as thin lines, positions as dots."""
+    tint = 0.35 + 0.65 * palette.rgb(agent.colour)
+    if agent.futures.size:
+        n, steps = agent.futures.shape[:2]
+        ends = np.stack([agent.futures[:, :-1], agent.futures[:, 1:]], axis=2).reshape(-1, 2)
+        shade = np.broadcast_to(tint, (2 * n * (steps - 1), 3))
+        _hairlines(vis, f"samples/{i}/futures", ends, shade, palette.futures_alpha(n))
+    if len(agent.dots):
+        material = _DotMaterial(size=0.16)
+        points = g.PointsGeometry(_level(agent.dots), np.tile(tint, (len(agent.dots), 1)).T.astype(np.float32))
+        node = vis[f"/riskplan/samples/{i}/dots"]
+        node.set_object(g.Points(points, material))
+        node.window.send(_Property(node.path, "renderOrder", _LAYERS.index("dots")))
+
+
+def _hairlines(vis: Any, name: str, ends: Array, colours: Array, opacity: float) -> None:
+    """Line segments one pixel wide from pairs of points (2 N, 2)."""
+    points = g.PointsGeometry(_level(ends), colours.T.astype(np.float32))
     material = g.LineBasicMaterial(vertexColors=True, transparent=True, opacity=opacity, depthWrite=False)
-    node = vis["/riskplan/tree"]
+    node = vis[f"/riskplan/{name}"]
     node.set_object(g.LineSegments(points, material))
-    node.window.send(_Property(node.path, "renderOrder", _LAYERS.index("tree")))
+    node.window.send(_Property(node.path, "renderOrder", _LAYERS.index(_layer(name))))
 
 
-def _mode_meshes(agent: AgentView, mode: int, limit: float) -> tuple[Mesh, Mesh]:
-    """All ellipses of one mode in one mesh, and the outlines of every fifth in another."""
+def _level(points: Array) -> np.ndarray:
+    return np.column_stack([points, np.zeros(len(points))]).T.astype(np.float32)
+
+
+class _DotMaterial(g.PointsMaterial):  # type: ignore[misc]
+    """meshcat's own is always opaque."""
+
+    def lower(self, object_data: Any) -> dict[str, Any]:
+        return {**super().lower(object_data), "transparent": True, "opacity": 0.4, "depthWrite": False}
+
+
+def _mode_meshes(agent: AgentView, mode: int, limit: float, rim_width: float) -> dict[str, Mesh]:
+    """All ellipses of one mode in one mesh, the outlines of every fifth, and the one of the moment: a unit circle."""
     rings = geometry.ellipses(agent.means[:, mode], agent.covariances[:, mode], SIGMAS)
     weight = agent.weights[:, mode]
     tint = np.column_stack([palette.ramp(palette.WEIGHT, weight / limit), palette.fill_alpha(weight)])
     n = rings.shape[1]
     fill = flat(rings.reshape(-1, 2), geometry.fan(rings), np.repeat(tint, n, axis=0))
-    tint[:, 3] = 0.85
-    return fill, flat(*geometry.rims(rings[::5], 0.15), np.repeat(tint[::5], 2 * n, axis=0))
+    rim = np.repeat(np.column_stack([tint[::5, :3], np.full(len(tint[::5]), 0.85)]), 2 * n, axis=0)
+    angle = 2 * np.pi * np.arange(40) / 40
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])[None]
+    disc = flat(circle[0], geometry.fan(circle), np.array([*tint[0, :3], 0.30]))
+    edge = flat(*geometry.rims(circle, 0.09), np.array([*tint[0, :3], 1.0]))
+    return {"ellipses": fill, "rims": flat(*geometry.rims(rings[::5], rim_width), rim), "now": merge([disc, edge])}
 
 
-def _body(vis: Any, name: str, length: float, width: float, colour: str) -> None:
-    _put(vis, f"{name}/body", solids.body(length, width, colour))
+def _body(vis: Any, name: str, mesh: Mesh, length: float, width: float) -> None:
+    _put(vis, f"{name}/body", mesh)
     _put(vis, f"{name}/shadow", solids.shadow(length, width), "shadow")
 
 
-def _camera(vis: Any, pic: Picture) -> None:
+def _camera(vis: Any, view: Camera) -> None:
     """The viewer turns about the world's origin for good, so the scene is moved instead."""
-    view = look(pic)
     vis["/riskplan"].set_property("position", (-view.target).tolist())
     camera = vis["/Cameras/default/rotated/<object>"]
     for key, value in (("fov", view.fov), ("near", view.distance / 100), ("far", view.distance * 20)):
-        camera.set_property(key, value)
-    camera.set_property("position", [view.eye[0], view.eye[2], -view.eye[1]])  # its parent is turned: y is up
+        camera.set_property(key, float(value))
+    x, y, z = view.eye.tolist()
+    camera.set_property("position", [x, z, -y])  # its parent is turned: y is up
 
 
 def _clip(times: Array, track: Array) -> Any:
     """Position and turn of a body over time; headings are continuous, so no turn takes the long way."""
-    half = track[:, 2] / 2
+    return _moves(times, track[:, :2], track[:, 2])
+
+
+def _ellipse_clip(times: Array, means: Array, covariances: Array) -> Any:
+    """Position, turn and size of a unit circle that is an ellipse at `SIGMAS` over time.
+
+    Eigenvectors have no sign and no order: the long axis is followed modulo half a turn.
+    """
+    a, b, d = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
+    turn = np.unwrap(0.5 * np.arctan2(2 * b, a - d), period=np.pi)
+    middle, half = (a + d) / 2, np.hypot((a - d) / 2, b)
+    axes = SIGMAS * np.sqrt(np.maximum([middle + half, middle - half], 0.0) + geometry.SPECK**2)
+    return _moves(times, means, turn, np.column_stack([*axes, np.ones(len(times))]))
+
+
+def _moves(times: Array, at: Array, turn: Array, scale: Array | None = None) -> Any:
+    half, nothing = turn / 2, np.zeros(len(times))
     values = {
-        "position": ("vector3", np.column_stack([track[:, :2], np.zeros(len(track))])),
-        "quaternion": ("quaternion", np.column_stack([0 * half, 0 * half, np.sin(half), np.cos(half)])),
+        "position": ("vector3", np.column_stack([at, nothing])),
+        "quaternion": ("quaternion", np.column_stack([nothing, nothing, np.sin(half), np.cos(half)])),
     }
+    if scale is not None:
+        values["scale"] = ("vector3", scale)
     tracks = {
         name: meshcat.animation.AnimationTrack(name, kind, times.tolist(), rows.tolist())
         for name, (kind, rows) in values.items()

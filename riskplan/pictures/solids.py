@@ -39,12 +39,38 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def body(length: float, width: float, colour: str) -> Mesh:
-    """A car, a truck from 6.5 m on, an upright column below 1.2 m; along x, centred, standing on z = 0."""
+    """A car, a truck from 6.5 m on, a person below 1.2 m; along x, centred, standing on z = 0."""
     if length < 1.2:
-        angle = 2 * np.pi * np.arange(8) / 8
-        ring = 0.5 * max(length, width) * np.column_stack([np.cos(angle), np.sin(angle)])
-        return _facets(_prism(ring, ring * 0.6, 0.0, 1.75, colour, colour))
+        return _facets(_person(max(length, width), colour))
     return _facets(_truck(length, width, colour) if length >= 6.5 else _car(length, width, colour))
+
+
+def robot(diameter: float, colour: str) -> Mesh:
+    """A drum with a dark band and a pointer ahead, centred, standing on z = 0."""
+    ring = _circle(0.5 * diameter, 20)
+    facets = _prism(ring, ring * 0.94, 0.05, 0.34, colour, colour)
+    facets += _prism(ring * 0.94, ring * 0.94, 0.34, 0.42, palette.GLASS, palette.GLASS)
+    facets += _prism(ring * 0.94, ring * 0.7, 0.42, 0.56, colour, colour)
+    tip = 0.5 * diameter * np.array([[0.6, 0.0], [0.05, 0.3], [0.05, -0.3]])
+    facets.append((np.column_stack([tip, np.full(3, 0.575)]), palette.LINE))
+    return _facets(facets)
+
+
+def _person(width: float, colour: str) -> list[Facet]:
+    """Legs, a coat, a head."""
+    ring = _circle(0.5 * width, 10)
+    facets = _prism(ring * 0.5, ring * 0.62, 0.0, 0.8, palette.GLASS, palette.GLASS)
+    facets += _prism(ring * 0.78, ring * 0.95, 0.62, 1.32, colour, colour)
+    facets += _prism(ring * 0.95, ring * 0.35, 1.32, 1.46, colour, colour)
+    head = [(0.22, 1.46), (0.4, 1.54), (0.42, 1.64), (0.28, 1.74)]
+    for (low, z0), (high, z1) in zip(head, head[1:], strict=False):
+        facets += _prism(ring * low, ring * high, z0, z1, palette.SKIN, palette.SKIN)
+    return facets
+
+
+def _circle(radius: float, n: int) -> Array:
+    angle = 2 * np.pi * np.arange(n) / n
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def column(polygon: Array, height: float, colour: str) -> Mesh:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,93 +10,44 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from matplotlib.text import Text
-from numpy.typing import NDArray
-from PIL import Image
-from scipy.spatial import cKDTree
 
 from checkers.validate import Array
 from riskplan.pictures import geometry, palette
-from riskplan.pictures.page import legend
-from riskplan.pictures.picture import SIGMAS, AgentView, Picture
-
-Pixels = NDArray[np.uint8]
+from riskplan.pictures.agent_view import AgentView
+from riskplan.pictures.encode import Pixels, frame_steps
+from riskplan.pictures.picture import SIGMAS, Picture, legend
 
 _DPI = 100
 _HEAD = 92  # pixels above the view, for title and legend
-_MOST_FRAMES = 60
 
 
-def png(pic: Picture, size: tuple[int, int] | None = None) -> bytes:
-    """A still at time 0. `size` in pixels (width, height); None: 1600 wide, as high as the scene wants."""
-    sheet = _sheet(pic, size or _natural(pic, 1600))
+def still(pic: Picture, size: tuple[int, int] | None = None, step: int = 0) -> Pixels:
+    """(H, W, 4) at `Picture.times[step]`. `size` in pixels (width, height); None: 1600 wide, as high as needed."""
+    sheet = _sheet(pic, size or natural(pic, 1600))
     _still(sheet, pic)
-    _Movers(sheet, pic).show(0)
+    _Movers(sheet, pic).show(step)
     sheet.canvas.draw()
-    out = io.BytesIO()
-    Image.fromarray(_pixels(sheet)).convert("RGB").save(out, "PNG")
-    return out.getvalue()
+    return _pixels(sheet)
 
 
-def gif(pic: Picture, size: tuple[int, int] | None = None) -> bytes:
-    """The same, moving through `Picture.times` in real time, in at most 60 frames. `size` None: 960 wide."""
-    sheet = _sheet(pic, size or _natural(pic, 960))
+def moving(pic: Picture, size: tuple[int, int] | None = None) -> tuple[list[Pixels], Array]:
+    """Frames (H, W, 4) and their times, in at most 60 steps. `size` None: 960 wide."""
+    sheet = _sheet(pic, size or natural(pic, 960))
     _still(sheet, pic)
     sheet.canvas.draw()
     ground = sheet.canvas.copy_from_bbox(sheet.figure.bbox)
     movers = _Movers(sheet, pic)
-    last = len(pic.times) - 1
-    steps = np.linspace(0, last, min(last + 1, _MOST_FRAMES)).round().astype(int)
+    steps = frame_steps(pic.times)
     frames = []
-    for step in steps:
+    for step in steps.tolist():
         sheet.canvas.restore_region(ground)
-        movers.show(int(step))
+        movers.show(step)
         movers.blit()
         frames.append(_pixels(sheet))
-    paletted = _paletted(frames)
-    gaps = np.diff(pic.times[steps], append=pic.times[-1] + 1.0)  # the last one rests for a second
-    out = io.BytesIO()
-    paletted[0].save(
-        out,
-        "GIF",
-        save_all=True,
-        append_images=paletted[1:],
-        duration=[max(20, round(100 * float(gap)) * 10) for gap in gaps],
-        loop=0,
-    )
-    return out.getvalue()
-
-
-def _paletted(frames: Sequence[Pixels]) -> list[Image.Image]:
-    """Frames (H, W, 4) with one common palette: every colour becomes its nearest.
-
-    A palette of a frame's own would blur the ramps, dithering would flicker, and Pillow's search for the
-    nearest colour is not exact: flat areas would come out in two shades.
-    """
-    plain = (palette.GROUND, palette.ASPHALT, palette.LINE, palette.INK, palette.GLASS, palette.EGO)
-    areas = [palette.rgb(colour)[None] for colour in (*plain, *palette.AGENTS)]
-    scales = (palette.RISK, palette.WEIGHT, palette.TIME)
-    ramps = [palette.ramp(scale, np.linspace(0, 1, 24)) for scale in scales]
-    fixed = (np.concatenate(areas + ramps) * 255).round().astype(int)
-    first = Image.fromarray(frames[0]).convert("RGB")
-    mixed = first.quantize(256 - len(fixed), Image.Quantize.MEDIANCUT).getpalette() or []
-    colours = np.concatenate([fixed, np.reshape(mixed, (-1, 3))])[:256]
-    nearest = cKDTree(colours)
-    table = np.full(1 << 24, -1, dtype=np.int16)
-    codes = [frame.view("<u4")[..., 0] & 0xFFFFFF for frame in frames]
-    index = np.zeros(codes[0].shape, dtype=np.uint8)
-    images = []
-    for i, code in enumerate(codes):
-        moved = code != codes[i - 1] if i else np.ones_like(code, dtype=bool)
-        wanted = code[moved]
-        new = np.unique(wanted[table[wanted] < 0])
-        if len(new):
-            table[new] = nearest.query(np.column_stack([new & 255, new >> 8 & 255, new >> 16]))[1]
-        index[moved] = table[wanted]
-        images.append(Image.fromarray(index.copy()))
-        images[-1].putpalette(colours.ravel().tolist())
-    return images
+    return frames, pic.times[steps]
 
 
 class _Sheet(NamedTuple):
@@ -114,12 +64,15 @@ class _Movers:
     def __init__(self, sheet: _Sheet, pic: Picture) -> None:
         self._sheet, self._pic = sheet, pic
         self._patches: list[tuple[Polygon, Array, Array]] = []  # patch, outline in the body frame, track
+        self._rings: list[tuple[Polygon, Array]] = []  # patch, outlines over time
+        for agent in pic.agents:
+            self._modes(agent, pic.limits[1])
         for agent in pic.agents:
             self._car(agent.track, agent.length, agent.width, agent.colour)
         for ring in pic.ego_rings:
             fill = np.array([*palette.rgb(palette.EGO), 0.28])
             self._add(ring, pic.ego, facecolor=fill, edgecolor="#8fc0ff", linewidth=1.0, zorder=8)
-        self._car(pic.ego, *pic.ego_size, palette.EGO)
+        self._car(pic.ego, *pic.ego_size, palette.EGO, disc=pic.ego_round)
         size = 13 if sheet.figure.get_figwidth() >= 12 else 10
         self._readout: Text = sheet.figure.text(
             0.988, 0.03, "", ha="right", va="bottom", color=palette.INK, fontsize=size
@@ -130,17 +83,34 @@ class _Movers:
         """Move everything to `Picture.times[step]`."""
         for patch, outline, track in self._patches:
             patch.set_xy(geometry.place(outline, track[step]))
+        for patch, rings in self._rings:
+            patch.set_xy(rings[step])
         risk = self._pic.so_far
-        text = "" if risk is None else f"    risk so far {palette.number(float(risk[step]))}"
+        text = "" if risk is None else f"    risk so far {palette.claimed(self._pic.claim, float(risk[step]))}"
         self._readout.set_text(f"t = {self._pic.times[step]:.1f} s{text}")
 
     def blit(self) -> None:
         """Draw the moving artists only, onto what is there."""
-        for patch, _, _ in self._patches:
+        for patch in [ring[0] for ring in self._rings] + [moved[0] for moved in self._patches]:
             self._sheet.axes.draw_artist(patch)
         self._sheet.figure.draw_artist(self._readout)
 
-    def _car(self, track: Array, length: float, width: float, colour: str) -> None:
+    def _modes(self, agent: AgentView, limit: float) -> None:
+        """Where each mode is at the moment."""
+        weights, means, covariances = agent.now
+        rings = geometry.ellipses(means, covariances, SIGMAS)  # (T, K, n, 2)
+        for mode in range(rings.shape[1]):
+            tint = palette.ramp(palette.WEIGHT, weights[0, mode] / limit)
+            patch = Polygon(rings[0, mode], closed=True, facecolor=(*tint, 0.30), edgecolor=tint, linewidth=1.6)
+            patch.set_zorder(5.5)
+            self._sheet.axes.add_patch(patch)
+            self._rings.append((patch, rings[:, mode]))
+
+    def _car(self, track: Array, length: float, width: float, colour: str, *, disc: bool = False) -> None:
+        if disc or length < 1.2:  # people are round from above, too
+            outline = geometry.disc(length, width)
+            self._add(outline, track, facecolor=colour, edgecolor="#ffffff", linewidth=1.0, zorder=9)
+            return
         body = geometry.rectangle(length, width)
         self._add(body, track, facecolor=colour, edgecolor="#ffffff", linewidth=1.2, zorder=9)
         cabin = geometry.rectangle(0.48 * length, 0.76 * width) - [0.06 * length, 0.0]
@@ -152,7 +122,8 @@ class _Movers:
         self._patches.append((patch, outline, track))
 
 
-def _natural(pic: Picture, width: int) -> tuple[int, int]:
+def natural(pic: Picture, width: int) -> tuple[int, int]:
+    """The size [pixel] that a top view of this width wants."""
     x0, y0, x1, y1 = pic.window
     share = min(max((y1 - y0) / (x1 - x0), 0.16), 0.7)
     return width, _HEAD + round(width * share) // 2 * 2
@@ -216,6 +187,10 @@ def _still(sheet: _Sheet, pic: Picture) -> None:
     faint = palette.tree_alpha(len(tree))
     _lines(sheet, pic.tree[:, :4].reshape(-1, 2, 2), 3, colors=tree, linewidths=0.6, alpha=faint)
     for agent in pic.agents:
+        tint = 0.35 + 0.65 * palette.rgb(agent.colour)
+        if len(agent.dots):
+            _dots(sheet, agent.dots, tint)
+        _lines(sheet, agent.futures, 3.6, colors=tint, linewidths=0.7, alpha=palette.futures_alpha(len(agent.futures)))
         _modes(sheet, agent, pic.limits[1])
     if len(pic.path) > 1:
         _ribbon(sheet, pic)
@@ -232,13 +207,19 @@ def _modes(sheet: _Sheet, agent: AgentView, limit: float) -> None:
     _areas(sheet, rim, 5, facecolors="none", edgecolors=edge, linewidths=1.3, alpha=0.85)
 
 
+def _dots(sheet: _Sheet, points: Array, tint: Array) -> None:
+    """Many small dots as one image-like artist, cheaper than markers of their own."""
+    style: dict[str, Any] = {"linestyle": "none", "marker": ",", "alpha": 0.35, "zorder": 3.5}
+    sheet.axes.add_line(Line2D(points[:, 0], points[:, 1], color=tuple(tint), **style))
+
+
 def _ribbon(sheet: _Sheet, pic: Picture) -> None:
     """The plan in pieces from half-way point to half-way point, in the colour of the step between them."""
     at = pic.path[:, :2]
     middle = (at[1:] + at[:-1]) / 2
     pieces = np.stack([np.concatenate([at[:1], middle]), at, np.concatenate([middle, at[-1:]])], axis=1)
     left, right = sheet.axes.get_xlim()
-    width = max(0.7 * sheet.figure.get_figwidth() * 72 / (right - left), 2.0)  # 0.7 m, in points
+    width = max(0.7 * pic.stroke * sheet.figure.get_figwidth() * 72 / (right - left), 2.0)  # 0.7 m, in points
     _lines(sheet, at[None], 6, colors=palette.CASING, linewidths=1.35 * width, capstyle="round")
     colours = palette.ramp(palette.RISK, pic.path_risk / pic.limits[0])
     _lines(sheet, pieces, 6.1, colors=colours, linewidths=width, capstyle="round")

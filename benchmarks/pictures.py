@@ -1,0 +1,60 @@
+"""Time and size of pictures of the demo scene: `python -m benchmarks.pictures [--repeats N] [--no-3d]`.
+
+Each is drawn in this process after one warm-up draw (imports, compilation); the bytes of all runs are compared. The
+aims are those of the project's issue 8. A film has one frame per step of the plan. On a busy machine the CPU column
+says more, where no browser is at work.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter, process_time
+
+import riskplan as rp
+from riskplan.pictures import browser
+
+# name, file, options, aim [s], largest size [MB]
+CASES: tuple[tuple[str, str, dict, float | None, float | None], ...] = (
+    ("3-D page", "scene.html", {}, 0.5, 3.0),
+    ("top view, still", "top.png", {"view": "top"}, 0.7, None),
+    ("top view, film", "top.gif", {"view": "top"}, 15.0, None),
+    ("top view, film", "top.mp4", {"view": "top"}, None, None),
+    ("3-D, still 1280 x 640", "still.png", {"view": "3d", "size": (1280, 640)}, 4.0, None),
+    ("3-D, film 960 x 480", "film.gif", {"view": "3d"}, 15.0, None),
+    ("3-D, film 960 x 480", "film.mp4", {"view": "3d"}, None, None),
+)
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Plan once, draw each picture `repeats` times, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=3, help="draws of each, at least 2; default 3")
+    parser.add_argument("--no-3d", action="store_true", help="only what needs no browser")
+    args = parser.parse_args(argv)
+    scenario = rp.load_scenario(Path(rp.__file__).parent / "data" / "overtake.yaml")
+    plan = rp.plan(scenario, planner="rrt", checker="exact", bound=0.01, time_limit=10.0, seed=0)
+    print(f"{plan.message}; {len(plan.times)} steps, {len(plan.search)} edges of the search; {browser.find()}\n")
+    print("| picture | file | best [s] | median [s] | CPU of this process [s] | aim [s] | size [MB] | same bytes |")
+    print("|---|---|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        for name, file, options, aim, largest in CASES:
+            if options.get("view") == "3d" and (args.no_3d or browser.find() is None):
+                continue
+            seconds, own, contents = [], [], set()
+            if not file.startswith(("film", "still")):
+                rp.render(scenario, plan, Path(folder) / file, **options)
+            for _ in range(max(2, args.repeats)):
+                began, busy = perf_counter(), process_time()
+                made = rp.render(scenario, plan, Path(folder) / file, **options)
+                seconds.append(perf_counter() - began)
+                own.append(process_time() - busy)
+                contents.add(made.read_bytes())
+            size = len(next(iter(contents))) / 1e6
+            limit = f"{size:.2f}" + (f" (≤ {largest:g})" if largest else "")
+            times = f"{min(seconds):.2f} | {sorted(seconds)[len(seconds) // 2]:.2f} | {min(own):.2f} | {aim or ''}"
+            print(f"| {name} | {Path(file).suffix} | {times} | {limit} | {'yes' if len(contents) == 1 else 'NO'} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""From poses, one mode and a shape to collision sets, and these swept: per path, per step, or per step given ξ."""
+
+import math
+
+import numba as nb
+import numpy as np
+
+from checkers.kernels.regions import (
+    ELLIPSE,
+    OCTAGON,
+    ellipse_features,
+    fill_ellipse,
+    fill_octagon,
+    octagon_features,
+)
+from checkers.kernels.sweep import sweep, workspace
+from checkers.kernels.whiten import to_ego
+
+# shapes: pieces (N, 5) fixed to the ego; boxes, half sizes (1, 4); two ellipses that turn apart, semi-axes (1, 4)
+FIXED, BOXES, ALIGNED = 0, 1, 2
+
+
+@nb.njit(inline="always", error_model="numpy")
+def kind_of(shape_kind):
+    """What the shape's sets are in the plane of ξ."""
+    return OCTAGON if shape_kind == BOXES else ELLIPSE
+
+
+@nb.njit(cache=True, error_model="numpy")
+def place(work, first, shape_kind, shape, pose, mean1, mean2, factor, heading):
+    """Fill rows and features from `first` on with the collision sets of one step; factor is (2, 2)."""
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    d1, d2, _, _, _ = to_ego(pose[0], pose[1], cos, sin, mean1, mean2, 0.0, 0.0, 0.0)
+    b11, b12 = cos * factor[0, 0] + sin * factor[1, 0], cos * factor[0, 1] + sin * factor[1, 1]
+    b21, b22 = -sin * factor[0, 0] + cos * factor[1, 0], -sin * factor[0, 1] + cos * factor[1, 1]
+    row, out = work.rows[first], work.features[first]
+    if shape_kind == BOXES:
+        fill_octagon(row, shape[0], heading - pose[2], d1, d2, b11, b12, b21, b22)
+        octagon_features(work.rows, first, shape[0], heading - pose[2], d1, d2, b11, b12, b21, b22, out)
+    elif shape_kind == ALIGNED:
+        c, s, axes = math.cos(heading - pose[2]), math.sin(heading - pose[2]), shape[0]
+        p11 = axes[0] ** 2 + (c * axes[2]) ** 2 + (s * axes[3]) ** 2
+        p22 = axes[1] ** 2 + (s * axes[2]) ** 2 + (c * axes[3]) ** 2
+        p12 = c * s * (axes[2] ** 2 - axes[3] ** 2)
+        det = p11 * p22 - p12 * p12
+        # Cholesky factor of P⁻¹
+        l11 = math.sqrt(p22 / det)
+        piece = (0.0, 0.0, l11, -p12 / (det * l11), 1.0 / math.sqrt(p22))
+        fill_ellipse(row, piece, d1, d2, b11, b12, b21, b22)
+        ellipse_features(row, out)
+    else:
+        for p in range(len(shape)):
+            fill_ellipse(work.rows[first + p], shape[p], d1, d2, b11, b12, b21, b22)
+            ellipse_features(work.rows[first + p], work.features[first + p])
+
+
+@nb.njit(cache=True, error_model="numpy")
+def sweep_paths(shape_kind, shape, poses, means, factors, headings, tolerance, value, error, exposure):
+    """Fill value (B,), error (B,) and exposure (B, T), or (B, 0) to skip it, of one mode that ξ alone moves.
+
+    Args:
+        poses: (B, T, 3); means: (T, 2); factors: (T, 2, 2); headings: (T,), unread for fixed shapes.
+    """
+    steps, pieces = poses.shape[1], len(shape)
+    work = workspace(steps * pieces)
+    for b in range(len(poses)):
+        for t in range(steps):
+            place(work, t * pieces, shape_kind, shape, poses[b, t], means[t, 0], means[t, 1], factors[t], headings[t])
+        value[b], error[b] = sweep(kind_of(shape_kind), work, steps * pieces, pieces, tolerance, exposure[b])
+
+
+@nb.njit(cache=True, error_model="numpy")
+def sweep_steps(shape_kind, shape, poses, means, roots, headings, tolerance, value, error):
+    """Fill the marginal value and error (B, T) of every step; roots (T, 2, 2) of the covariances."""
+    work, nothing = workspace(len(shape)), np.empty(0)
+    for b in range(len(poses)):
+        for t in range(poses.shape[1]):
+            place(work, 0, shape_kind, shape, poses[b, t], means[t, 0], means[t, 1], roots[t], headings[t])
+            value[b, t], error[b, t] = sweep(kind_of(shape_kind), work, len(shape), 1, tolerance, nothing)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def first_hits(shape_kind, shape, poses, means, factors, roots, headings, nodes, tolerance, out):
+    """Fill out (N, T): probability that the first hit is at step t, given ξ = nodes[n].
+
+    Args:
+        poses: (T, 3); factors: (T, 2, R); roots: (T, 2, 2) of the covariance of what is independent; nodes: (N, R).
+    """
+    work, nothing = workspace(len(shape)), np.empty(0)
+    for n in range(len(nodes)):
+        missed = 1.0
+        for t in range(len(poses)):
+            mean1, mean2 = means[t, 0], means[t, 1]
+            for r in range(nodes.shape[1]):
+                mean1 += factors[t, 0, r] * nodes[n, r]
+                mean2 += factors[t, 1, r] * nodes[n, r]
+            place(work, 0, shape_kind, shape, poses[t], mean1, mean2, roots[t], headings[t])
+            hit, _ = sweep(kind_of(shape_kind), work, len(shape), 1, tolerance, nothing)
+            out[n, t] = missed * hit
+            missed *= 1.0 - hit

@@ -1,0 +1,123 @@
+"""What there is to see of one agent: its body's way, its modes over time, sampled futures."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from checkers import GaussianMixturePrediction, MomentPrediction, persistent
+from checkers.validate import Array
+from riskplan.scene import Agent
+
+_MOST_ELLIPSES = 30  # a mode: enough to see it move, few enough to see through
+
+
+class Detail(NamedTuple):
+    """What is drawn of the agents beyond means and covariances.
+
+    Attributes:
+        samples: futures drawn as lines, per agent.
+        density: positions drawn as dots, per agent and shown step.
+        seed: of both.
+    """
+
+    samples: int = 0
+    density: int = 0
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class AgentView:
+    """One agent.
+
+    Attributes:
+        name, colour, length, width: label, "#rrggbb", size [m].
+        track: (T, 3) poses of the most likely mode at `Picture.times`.
+        weights, means, covariances: (S, K), (S, K, 2), (S, K, 2, 2) of the shown steps of the prediction.
+        now: weights (T, K), means (T, K, 2) and covariances (T, K, 2, 2) at `Picture.times`.
+        futures: (n, S, 2) sampled trajectories; n = 0 unless asked for, or if only moments are known.
+        dots: (N, 2) sampled positions of all shown steps; likewise.
+    """
+
+    name: str
+    colour: str
+    length: float
+    width: float
+    track: Array
+    weights: Array
+    means: Array
+    covariances: Array
+    now: tuple[Array, Array, Array]
+    futures: Array
+    dots: Array
+
+
+def agent_view(agent: Agent, colour: str, times: Array, origin: Array, end: float, detail: Detail) -> AgentView:
+    """Of an agent in coordinates relative to `origin`, with its modes up to `end` [s]."""
+    likely = int(agent.step_weights.sum(axis=0).argmax())
+    at = agent.means[:, likely] - origin
+    heading = _course(at) if agent.headings is None else np.unwrap(agent.headings[:, likely])
+    track = np.column_stack([np.interp(times, agent.times, column) for column in (*at.T, heading)])
+    shown = np.flatnonzero(agent.times <= end + 1e-6)
+    shown = shown[:: max(1, -(-len(shown) // _MOST_ELLIPSES))]
+    means = agent.means - origin
+    futures, dots = _sampled(agent, shown, detail)
+    return AgentView(
+        name=agent.name,
+        colour=colour,
+        length=agent.length or 4.5,
+        width=agent.width or 1.8,
+        track=track,
+        weights=agent.step_weights[shown],
+        means=means[shown],
+        covariances=agent.covariances[shown],
+        now=tuple(_over(times, agent.times, a) for a in (agent.step_weights, means, agent.covariances)),  # type: ignore[arg-type]
+        futures=futures - origin,
+        dots=dots - origin,
+    )
+
+
+def _over(times: Array, own: Array, values: Array) -> Array:
+    """Values (T, …) at other times, held before the first."""
+    columns = values.reshape(len(own), -1).T
+    rows = np.column_stack([np.interp(times, own, column) for column in columns])
+    return rows.reshape(len(times), *values.shape[1:])
+
+
+def _sampled(agent: Agent, shown: np.ndarray, detail: Detail) -> tuple[Array, Array]:
+    """Futures (n, S, 2) and positions (N, 2) at the shown steps.
+
+    Positions are drawn from each step's own distribution. Futures of a Gaussian agent that does not say how its errors
+    depend on each other over time are drawn as errors that persist: lines that jump from step to step show nothing.
+    """
+    rng = np.random.default_rng(detail.seed)
+    futures, dots = np.zeros((0, len(shown), 2)), np.zeros((0, 2))
+    if isinstance(agent, MomentPrediction):
+        return futures, dots
+    if detail.density:
+        dots = agent.sample(detail.density, rng)[:, shown].reshape(-1, 2)
+    if detail.samples:
+        if isinstance(agent, GaussianMixturePrediction) and agent.factors is None and agent.modes == "persistent":
+            agent = persistent(agent)
+        futures = agent.sample(detail.samples, rng)[:, shown]
+    return futures, dots
+
+
+def _course(points: Array) -> Array:
+    """(T,) direction of motion; held while the point rests, 0 if it never moves."""
+    if len(points) < 2:
+        return np.zeros(len(points))
+    step = np.gradient(points, axis=0)
+    moving = np.flatnonzero(np.linalg.norm(step, axis=-1) > 1e-3)
+    if not len(moving):
+        return np.zeros(len(points))
+    angle = np.unwrap(np.arctan2(step[moving, 1], step[moving, 0]))
+    return np.asarray(np.interp(np.arange(len(points)), moving, angle))
+
+
+def agent_node(index: int, name: str) -> str:
+    """Path below `/riskplan` of an agent's body; a slash in its name would split the path."""
+    return f"agents/{index}-{re.sub('[^A-Za-z0-9_.-]+', '-', name)}"

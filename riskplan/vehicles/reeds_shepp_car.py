@@ -1,0 +1,93 @@
+"""`ReedsSheppCar`: a car whose curvature may jump and that drives in reverse too."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from checkers.validate import Array
+from riskplan.vehicles.base import CurveLimits, Metric, Vehicle, check_positive, packed
+
+if TYPE_CHECKING:
+    from riskplan.kernels.steer import Kernel
+
+
+@dataclass(frozen=True)
+class ReedsSheppCar(Vehicle):
+    """A car on arcs and straights, forwards and backwards (Reeds & Shepp 1990), with bounded acceleration.
+
+    It stands for an instant where it changes direction, at a time of the grid. A roadmap drives it forwards only.
+
+    Attributes:
+        length, width: of the body [m].
+        max_acceleration, max_deceleration: by which it gets faster and slower, either way [m/s²], both positive.
+        max_curvature: [1/m].
+        max_speed, max_reverse_speed: [m/s], both positive.
+        max_lateral_acceleration: limit of speed² × curvature [m/s²].
+    """
+
+    type: ClassVar[str] = "reeds-shepp"
+    metric: ClassVar[Metric] = Metric(heading=3.0, speed=0.5, time=2.0)
+    reverses: ClassVar[bool] = True
+
+    length: float = 4.5
+    width: float = 1.8
+    max_acceleration: float = 4.0
+    max_deceleration: float = 8.0
+    max_curvature: float = 0.2
+    max_speed: float = 40.0
+    max_reverse_speed: float = 5.0
+    max_lateral_acceleration: float = 5.0
+
+    def __post_init__(self) -> None:
+        check_positive(self)
+
+    @property
+    def body(self) -> tuple[float, float]:
+        """Length and width [m]."""
+        return self.length, self.width
+
+    @property
+    def top_speed(self) -> float:
+        """Largest speed, either way [m/s]."""
+        return max(self.max_speed, self.max_reverse_speed)
+
+    @property
+    def top_acceleration(self) -> float:
+        """Largest rate at which it gains speed [m/s²]."""
+        return self.max_acceleration
+
+    @property
+    def top_turn(self) -> float:
+        """Largest turn per distance [1/m]."""
+        return self.max_curvature
+
+    @property
+    def curves(self) -> CurveLimits:
+        """Its limits forwards."""
+        return CurveLimits(
+            self.max_acceleration,
+            self.max_deceleration,
+            self.max_curvature,
+            self.max_speed,
+            self.max_lateral_acceleration,
+        )
+
+    @property
+    def limits(self) -> Array:
+        """(16,) what the kernel reads."""
+        return packed(*self.curves, self.max_reverse_speed)
+
+    def sweep(self, speed: float, duration: float) -> tuple[float, float, float]:
+        """As of `Vehicle`: it turns at κ v with κ v² ≤ the lateral limit, so at most √(κ × that limit)."""
+        rate = self.max_curvature * min(speed, math.sqrt(self.max_lateral_acceleration / self.max_curvature))
+        lateral = min(self.max_lateral_acceleration, self.max_curvature * speed**2)
+        return speed * duration, 0.5 * lateral * duration**2, rate * duration
+
+    @property
+    def kernel(self) -> Kernel:
+        """One acceleration until it has changed direction, two halves of constant curvature; exact arcs."""
+        from riskplan.kernels.reeds_shepp import steer  # noqa: PLC0415  numba costs import time
+
+        return steer
