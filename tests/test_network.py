@@ -61,6 +61,11 @@ def random_mixture(seed: int, steps: int = 4, modes: int = 3, rank: int = 2, per
     return Mixture(weights, draw(n, steps, modes, 2), roots, draw(n, steps, modes, 2, rank) if rank else None)
 
 
+@pytest.fixture(autouse=True)
+def _seeded() -> None:
+    torch.manual_seed(0)
+
+
 def random_examples(config: NetworkConfig, count: int, seed: int = 0) -> Examples:
     """Cars of random speed and turn in their own frame."""
     rng = np.random.default_rng(seed)
@@ -205,8 +210,9 @@ class TestTraining:
         before = evaluate(build(config), examples, 0.1)
         trained = train(config, examples, examples, settings)
         after = evaluate(trained.network, examples, 0.1)
-        assert after[0] < before[0] - 1.5  # nat per step
-        assert after[1] < before[1] / 2  # errors that persist may be told by factors as well as by the mean
+        assert after[0] < before[0] - 4.0  # nat per step
+        if config.head == "independent":  # the other head may tell lasting errors by its factors as well as by the mean
+            assert after[1] < before[1] / 2
 
     def test_goes_on_bit_for_bit_after_a_kill(self, tmp_path: Path) -> None:
         config = replace(PERSISTENT, lanes=True)
