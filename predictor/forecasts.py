@@ -100,21 +100,22 @@ def examples_of(samples: Windows, config: NetworkConfig) -> tuple[Examples, Fram
 
 def to_world(mixture: Mixture, frames: Frames, config: NetworkConfig) -> Forecasts:
     """A mixture of positions in the world; covariances grow with the square of the network's scale."""
-    roots = mixture.roots.double().numpy()
-    local = roots @ np.swapaxes(roots, -1, -2)
+    spread = frames.factors_to_world(mixture.roots.double().numpy())
     factors = None
     if mixture.factors is not None:
-        own = mixture.factors.double().numpy()
-        local = local + own @ np.swapaxes(own, -1, -2)
-        factors = frames.factors_to_world(own)
+        factors = frames.factors_to_world(mixture.factors.double().numpy())
+        spread = np.concatenate([spread, factors], axis=-1)
+    first, second = spread[..., 0, :], spread[..., 1, :]
+    # products of the entries, written out: matrix products of this size take several times longer
+    xx, xy, yy = (np.einsum("...r,...r", a, b) for a, b in ((first, first), (first, second), (second, second)))
+    covariances = np.stack([xx, xy, xy, yy], axis=-1).reshape(*xx.shape, 2, 2)
     weights = mixture.log_weights.double().numpy()
     weights = np.exp(weights - weights.max(axis=-1, keepdims=True))
-    covariances = frames.covariances_to_world(local)
     return Forecasts(
         config.times,
         weights / weights.sum(axis=-1, keepdims=True),
         frames.to_world(mixture.means.double().numpy()),
-        0.5 * (covariances + np.swapaxes(covariances, -1, -2)),
+        covariances,
         factors,
         config.weights,
     )

@@ -51,9 +51,12 @@ class LanePoints:
         count = min(most, len(self.points))
         if not count or not len(positions):
             return points, headings
-        distance = np.hypot(*np.moveaxis(self.points - positions[:, None], -1, 0))
-        nearest = np.argsort(distance, axis=1, kind="stable")[:, :count]
-        inside = (np.take_along_axis(distance, nearest, axis=1) <= radius)[..., None]
+        distance = (self.points[:, 0] - positions[:, :1]) ** 2 + (self.points[:, 1] - positions[:, 1:]) ** 2
+        nearest = np.sort(np.argpartition(distance, count - 1, axis=1)[:, :count], axis=1)  # sorting all costs most
+        some = np.take_along_axis(distance, nearest, axis=1)
+        order = np.argsort(some, axis=1, kind="stable")
+        nearest = np.take_along_axis(nearest, order, axis=1)
+        inside = (np.take_along_axis(some, order, axis=1) <= radius**2)[..., None]
         points[:, :count] = np.where(inside, self.points[nearest], np.nan)
         headings[:, :count] = np.where(inside[..., 0], self.headings[nearest], np.nan)
         return points, headings
