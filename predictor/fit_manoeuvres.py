@@ -164,7 +164,7 @@ def _fit_axis(
     start = {
         "choice": np.zeros((count, even.shape[1])),
         "mean": np.zeros((count, moving.shape[1])),
-        "spread": np.zeros((1, even.shape[1])),
+        "spread": np.zeros((count, even.shape[1])),
         "sizes": sizes + (0.0 if lanes else 1.0),
         "growth": np.full(count, np.log(1.4)),
         "rest": np.full(count, np.log(0.2)),
@@ -181,13 +181,13 @@ def _fit_axis(
 
     def loss() -> Any:
         optimiser.zero_grad()
-        value = -_mixed(_tied(free, lanes), *data).sum() / observed
+        value = -_mixed(_bounded(free, lanes), *data).sum() / observed
         value = value + PENALTY * sum((free[n][:, 1:] ** 2).sum() for n in ("choice", "mean", "spread"))
         value.backward()
         return value
 
     optimiser.step(loss)  # type: ignore[no-untyped-call]
-    return {k: v.detach().numpy() for k, v in _tied(free, lanes).items()}
+    return {k: v.detach().numpy() for k, v in _bounded(free, lanes).items()}
 
 
 def _scales(samples: Samples) -> tuple[Array, tuple[Array, Array], Array, Array]:
@@ -199,8 +199,8 @@ def _scales(samples: Samples) -> tuple[Array, tuple[Array, Array], Array, Array]
     return centre, (np.maximum(spread, 1e-6), np.maximum(samples.odd.std(axis=0), 1e-6)), even_range, odd_range
 
 
-def _tied(free: Mapping[str, torch.Tensor], lanes: bool) -> dict[str, Any]:
-    """Parameters of an `Axis`: how a spread depends on the situation is common to all manoeuvres, its size is not."""
+def _bounded(free: Mapping[str, torch.Tensor], lanes: bool) -> dict[str, Any]:
+    """Parameters of an `Axis` from the unbounded ones that are searched."""
     values = dict(free)
     sizes = values.pop("sizes")[:, None]
     values["spread"] = values["spread"] + torch.nn.functional.pad(sizes, (0, values["spread"].shape[1] - 1))
