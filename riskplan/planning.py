@@ -57,9 +57,15 @@ _PLANNERS = (
     ),
     PlannerInfo(
         "prm",
-        "roadmap of Dubins edges, searched in time under the risk budget; reusable for new predictions",
+        "roadmap of smooth edges, searched in time under the risk budget; reusable for new predictions",
         "Kavraki et al. 1996, OMPL og.PRM sampling",
         "prm:Prm",
+    ),
+    PlannerInfo(
+        "prm-lazy",
+        "prm that judges a way only once it leads to the goal; for costly checkers",
+        "Bohlin & Kavraki 2000, OMPL og.PRM sampling",
+        "prm_lazy:PrmLazy",
     ),
     PlannerInfo(
         "rrt-capped",

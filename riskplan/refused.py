@@ -24,7 +24,7 @@ REFUSED = {
     "bkpiece": _GOAL_TREE,
     "lbkpiece": _GOAL_TREE,
     "prm-star": _SYMMETRIC,
-    "lazy-prm": _UNBOUND + "; `prm` judges its edges late, too",
+    "lazy-prm": _UNBOUND + "; `prm-lazy` does what it does, over time",
     "spars": _UNBOUND,
     "strrt-star": _UNBOUND,
     "trrt": _UNBOUND,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import NamedTuple
@@ -21,7 +22,7 @@ from riskplan.search import Budget, Problem, SearchResult
 from riskplan.vehicles import curve_limits
 
 _SAME_SPEED = 1.0  # labels at one vertex and step compete within this [m/s]
-_TOGETHER = 5  # arrivals within so many steps are alike
+TOGETHER = 5  # arrivals within so many steps are alike
 _FAILURES = 0.3  # children of a label that fail put the others back by a step
 _UNCONNECTED = 500  # labels made on a roadmap that does not lead to the goal
 _KEPT = 4  # labels kept per vertex, step and speed
@@ -46,45 +47,57 @@ class Prm:
     roadmap: Roadmap | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.size, int) or isinstance(self.size, bool) or self.size < 2:
-            raise InputError(f"prm: size: expected an integer >= 2, got {self.size!r}")
-        if self.roadmap is not None and not isinstance(self.roadmap, Roadmap):
-            raise InputError(f"prm: roadmap: expected a Roadmap, got {type(self.roadmap).__name__}")
+        check_options("prm", self.size, self.roadmap)
 
     def search(self, problem: Problem, budget: Budget, seed: int) -> SearchResult:
         """Search the roadmap; enlarge and search again until the goal is reached in budget, or time is up."""
-        rng = np.random.default_rng(seed)
-        size, roadmap, sampler = self.size, self.roadmap, None
-        if roadmap is not None and roadmap.radii.min() < 1.0 / curve_limits(problem.scenario.vehicle).curvature - 1e-9:
-            roadmap = Roadmap.of(problem.scenario, roadmap.vertices, budget.expired)  # made for a nimbler car
-        best: SearchResult | None = None
-        counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
-        lowest = np.inf
-        while True:
-            began = perf_counter()
-            if roadmap is None:
-                sampler = sampler or Sampler(problem.scenario, problem.world, seed)
-                roadmap = Roadmap.of(problem.scenario, sampler.grow(size, budget.expired), budget.expired)
-                budget.iterations += size
-            built = perf_counter() - began
-            query = _Query(problem, budget, roadmap, rng)
-            result = query.run()
-            lowest = min(lowest, result.lowest_seen)
-            for key, value in result.counters.items():
-                counters[key] = value if key in ("vertices", "edges") else counters[key] + value
-            counters["roadmaps"] += 1
-            if result.states is not None or best is None:
-                best = result
-            if budget.expired() or (best.states is not None and budget.bound is not None):
-                break
-            # larger at first; once large, or if a larger one would take what time is left, another one of that size
-            before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
-            if size > _LARGEST or (not budget.counted and budget.left() < 8.0 * built):
-                size, sampler, seed = min(before, _LARGEST), None, seed + 1
-        return SearchResult(best.states, lowest, counters, best.edges)
+        return search_roadmaps(self.size, self.roadmap, (problem, budget, seed), Query.run)
 
 
-class _Label(NamedTuple):
+def check_options(name: str, size: int, roadmap: Roadmap | None) -> None:
+    """Refuse what is no size or no roadmap."""
+    if not isinstance(size, int) or isinstance(size, bool) or size < 2:
+        raise InputError(f"{name}: size: expected an integer >= 2, got {size!r}")
+    if roadmap is not None and not isinstance(roadmap, Roadmap):
+        raise InputError(f"{name}: roadmap: expected a Roadmap, got {type(roadmap).__name__}")
+
+
+def search_roadmaps(
+    size: int, roadmap: Roadmap | None, task: tuple[Problem, Budget, int], run: Callable[[Query], SearchResult]
+) -> SearchResult:
+    """Query roadmaps, the given one first, until the goal is reached in budget, or time is up."""
+    problem, budget, seed = task
+    rng = np.random.default_rng(seed)
+    sampler: Sampler | None = None
+    if roadmap is not None and roadmap.radii.min() < 1.0 / curve_limits(problem.scenario.vehicle).curvature - 1e-9:
+        roadmap = Roadmap.of(problem.scenario, roadmap.vertices, budget.expired)  # made for a nimbler car
+    best: SearchResult | None = None
+    counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
+    lowest = np.inf
+    while True:
+        began = perf_counter()
+        if roadmap is None:
+            sampler = sampler or Sampler(problem.scenario, problem.world, seed)
+            roadmap = Roadmap.of(problem.scenario, sampler.grow(size, budget.expired), budget.expired)
+            budget.iterations += size
+        built = perf_counter() - began
+        result = run(Query(problem, budget, roadmap, rng))
+        lowest = min(lowest, result.lowest_seen)
+        for key, value in result.counters.items():
+            counters[key] = value if key in ("vertices", "edges") else counters[key] + value
+        counters["roadmaps"] += 1
+        if result.states is not None or best is None:
+            best = result
+        if budget.expired() or (best.states is not None and budget.bound is not None):
+            break
+        # larger at first; once large, or if a larger one would take what time is left, another one of that size
+        before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
+        if size > _LARGEST or (not budget.counted and budget.left() < 8.0 * built):
+            size, sampler, seed = min(before, _LARGEST), None, seed + 1
+    return SearchResult(best.states, lowest, counters, best.edges)
+
+
+class Label(NamedTuple):
     """The ego at a step of the grid, on the way along an edge.
 
     Attributes:
@@ -119,7 +132,7 @@ class _Label(NamedTuple):
         return self.vertex, self.edge, self.step, int(self.speed / _SAME_SPEED), place
 
 
-class _Query:
+class Query:
     """One label search over a roadmap with start and goal attached."""
 
     def __init__(self, problem: Problem, budget: Budget, roadmap: Roadmap, rng: np.random.Generator) -> None:
@@ -131,16 +144,14 @@ class _Query:
         self.room = np.empty((10 * EDGES * CHILDREN + 1, CHILD))
         # where no edges lead to the goal one may pass it on the way; more vertices are the better bet
         self.most = np.inf if self.edges.connected else _UNCONNECTED
-        self.labels: list[_Label] = []
+        pose, speed, nothing = np.array(problem.start_state[:3]), problem.start_state[3], np.zeros((0, 4))
+        start = (pose, speed, 0, self.edges.source, -1, 0.0, False, speed)
+        self.labels = [Label(*start, problem.start_risk, problem.start_total, -1, nothing)]
         self.checked, self.lowest = 0, np.inf
 
     def run(self) -> SearchResult:
         """Best-first over lazily judged labels: a child is driven and charged when it is taken, not when it is made."""
         p, budget = self.problem, self.budget
-        pose, nothing = np.array(p.start_state[:3]), np.zeros((0, 4))
-        speed = p.start_state[3]
-        start = (pose, speed, 0, self.edges.source, -1, 0.0, False, speed, p.start_risk, p.start_total, -1, nothing)
-        self.labels.append(_Label(*start))
         seen: dict[tuple[int, ...], list[Array]] = {}
         heap: list[tuple[float, float, int, int, tuple[float, ...]]] = []
         failed: dict[int, int] = {}
@@ -149,10 +160,10 @@ class _Query:
         def push(number: int) -> None:
             nonlocal serial
             label = self.labels[number]
-            for child in self._children(label):
+            for child in self.children(label):
                 serial += 1
                 after = min(label.step + child[1], p.goal.latest)
-                rank = child[3] // _TOGETHER if budget.bound is not None else _decade(label.total)
+                rank = child[3] // TOGETHER if budget.bound is not None else _decade(label.total)
                 heapq.heappush(heap, (rank, -after, serial, number, tuple(child)))
 
         push(0)
@@ -166,11 +177,12 @@ class _Query:
             if late > tie + 1.0:
                 heapq.heappush(heap, (rank, late, order, number, child))
                 continue
-            driven = self._driven(number, child)
-            if driven is None:
+            driven = self.driven(number, child)
+            judged = None if driven is None else self.charged(*driven)
+            if driven is None or judged is None:
                 failed[number] = failed.get(number, 0) + 1
                 continue
-            label, arrived = driven
+            label, arrived = judged, driven[1]
             if not arrived and not _undominated(seen, label.key, p.evaluator.levels(label.risk)):
                 continue
             self.labels.append(label)
@@ -180,15 +192,19 @@ class _Query:
                     break
             else:
                 push(len(self.labels) - 1)
+        return self.result(best)
+
+    def result(self, best: int) -> SearchResult:
+        """What was found: the way to the label of that number, −1 for none."""
         counters = {
             "vertices": len(self.edges.poses),
             "edges": len(self.edges.roadmap.ends),
             "labels": len(self.labels),
             "checked_steps": self.checked,
         }
-        return SearchResult(_states(self.labels, best) if best >= 0 else None, self.lowest, counters, self._tree())
+        return SearchResult(states_to(self.labels, best) if best >= 0 else None, self.lowest, counters, self._tree())
 
-    def _children(self, label: _Label) -> list[list[float]]:
+    def children(self, label: Label) -> list[list[float]]:
         """Rows of `expand`."""
         goal = self.problem.goal
         edges = self.edges.out_of(label.vertex)
@@ -200,30 +216,12 @@ class _Query:
         rows: list[list[float]] = self.room[:count].tolist()
         return rows
 
-    def _driven(self, number: int, child: tuple[float, ...]) -> tuple[_Label, bool] | None:
-        """The label at the end of a child, and whether it arrived; None if the world or the bound is in the way."""
-        p, label = self.problem, self.labels[number]
-        edge = int(child[0])
+    def driven(self, number: int, child: tuple[float, ...]) -> tuple[Label, bool] | None:
+        """The label at the end of a child, not charged, and whether it arrived; None if the world is in the way."""
+        label, edge = self.labels[number], int(child[0])
         poses, arrived = self._waited(label, int(child[1])) if edge < 0 else self._traversed(label, child)
-        if poses is None:
-            return None
-        first = label.step + (0 if label.pending else 1)
         step = label.step + int(child[1])
-        if not arrived and step > p.goal.latest:
-            return None
-        risk, total = label.risk, label.total
-        if len(poses):
-            risk = np.empty_like(label.risk)
-            # an arrival counts while it may be the least risky seen
-            limit = max(self.budget.limit, self.lowest) if arrived else self.budget.limit
-            total = self.validator.charge(np.ascontiguousarray(poses[:, :3]), first, label.risk, limit, risk)
-            self.checked += len(poses)
-        if arrived and total <= self.budget.limit:
-            path = _states([*self.labels, label._replace(parent=number, poses=poses)], len(self.labels))
-            total = p.evaluator.confirmed(path[:, :3], total)
-        if arrived:
-            self.lowest = min(self.lowest, total)
-        if not total <= self.budget.limit:
+        if poses is None or (not arrived and step > self.problem.goal.latest):
             return None
         pose = poses[-1, :3] if len(poses) else label.pose
         vertex, place, pending = label.vertex, child[4], child[6] > 0.0
@@ -231,17 +229,34 @@ class _Query:
             vertex, edge = int(self.edges.out_of(vertex).ends[edge]), -1
         elif edge < 0:
             edge = label.edge
-        after = (pose, child[5], step, vertex, edge, place, pending, child[7], risk, total, number, poses)
-        return _Label(*after), arrived
+        after = (pose, child[5], step, vertex, edge, place, pending, child[7])
+        return Label(*after, label.risk, label.total, number, poses), arrived
 
-    def _traversed(self, label: _Label, child: tuple[float, ...]) -> tuple[Array | None, bool]:
+    def charged(self, label: Label, arrived: bool) -> Label | None:
+        """The label with the risk of the way to it, as its parent has; None if that is above the limit."""
+        parent, poses = self.labels[label.parent], label.poses
+        risk, total = parent.risk, parent.total
+        if len(poses):
+            risk, first = np.empty_like(parent.risk), parent.step + (0 if parent.pending else 1)
+            # an arrival counts while it may be the least risky seen
+            limit = max(self.budget.limit, self.lowest) if arrived else self.budget.limit
+            total = self.validator.charge(np.ascontiguousarray(poses[:, :3]), first, parent.risk, limit, risk)
+            self.checked += len(poses)
+        if arrived and total <= self.budget.limit:
+            path = states_to([*self.labels, label], len(self.labels))
+            total = self.problem.evaluator.confirmed(path[:, :3], total)
+        if arrived:
+            self.lowest = min(self.lowest, total)
+        return label._replace(risk=risk, total=total) if total <= self.budget.limit else None
+
+    def _traversed(self, label: Label, child: tuple[float, ...]) -> tuple[Array | None, bool]:
         p, edges, edge = self.problem, self.edges.out_of(label.vertex), int(child[0])
         way = self.edges.poses[label.vertex], edges.curves[edge], edges.lengths[edge], np.array(child), label.row
         grid = p.scenario.time_step, p.goal.latest, p.goal.earliest, self.limits
         driven, arrived = traverse(*way, *grid, p.world.packed, p.goal.arrays, self.out)
         return (None if driven < 0 else self.out[:driven].copy()), arrived
 
-    def _waited(self, label: _Label, steps: int) -> tuple[Array, bool]:
+    def _waited(self, label: Label, steps: int) -> tuple[Array, bool]:
         goal = self.problem.goal
         poses = np.tile(np.append(label.pose, 0.0), (steps, 1))
         soonest = max(goal.earliest - label.step, 1)
@@ -340,7 +355,7 @@ def _motion_validator(problem: Problem) -> RiskMotionValidator:
     )
 
 
-def _states(labels: list[_Label], last: int) -> Array:
+def states_to(labels: list[Label], last: int) -> Array:
     """(T, 4) from the start to a label."""
     parts: list[Array] = []
     while labels[last].parent >= 0:
