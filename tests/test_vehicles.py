@@ -80,7 +80,7 @@ ROAD = {"car": rp.KinematicCar, "reeds-shepp": rp.ReedsSheppCar, "bicycle": rp.K
 def test_plans_are_drivable_and_within_the_bound(name, planner):
     scene = plaza() if name == "point" else replace(overtake(), vehicle=ROAD[name](length=4.6, width=1.9))
     if planner == "prm" and name == "bicycle":
-        with pytest.raises(rp.InputError, match="a KinematicBicycle cannot follow the Dubins curves"):
+        with pytest.raises(rp.InputError, match="a KinematicBicycle cannot follow a roadmap's arcs"):
             rp.plan(scene, planner=planner)
         return
     for seed in (0,) if planner == "prm" else (0, 1):

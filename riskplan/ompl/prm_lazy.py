@@ -53,8 +53,8 @@ class _Late:
         self._push(0)
         while len(q.labels) < q.most and not q.budget.over():
             if not self.heap:  # those kept out by labels that hold may have spent less
-                for holder in list(self.kept_out):
-                    self._let_pass(holder)
+                for each in list(self.kept_out):
+                    self._let_pass(each)
             if not self.heap:
                 break
             entry = heapq.heappop(self.heap)
