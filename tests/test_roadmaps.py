@@ -145,3 +145,14 @@ def test_files_whose_edges_are_none_are_refused(tmp_path, case):
     np.savez(tmp_path / "map.npz", **arrays)
     with pytest.raises(rp.InputError, match=message):
         rp.Roadmap.load(tmp_path / "map.npz")
+
+
+def test_a_lazy_search_takes_the_same_roadmap():
+    scene = overtake()
+    roadmap = rp.Roadmap.build(scene, 400, seed=3)
+    for planner in (rp.Prm(roadmap=roadmap), rp.PrmLazy(roadmap=roadmap)):
+        plan = rp.plan(scene, planner, bound=0.05, time_limit=20.0)
+        assert plan.solved and plan.stats["roadmaps"] == 1
+        assert_drivable(scene.vehicle, states_of(plan), scene.time_step)
+    with pytest.raises(rp.InputError, match="^prm-lazy: size: expected an integer >= 2, got 1"):
+        rp.PrmLazy(size=1)

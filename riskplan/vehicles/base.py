@@ -145,7 +145,7 @@ def curve_limits(vehicle: Vehicle) -> CurveLimits:
     """
     if vehicle.curves is None:
         raise InputError(
-            f"vehicle: a {type(vehicle).__name__} cannot follow a roadmap's arcs and straights, where the curvature jumps; "
-            "expected a planner over controls, such as 'rrt'"
+            f"vehicle: a {type(vehicle).__name__} cannot follow a roadmap's arcs and straights, where the curvature "
+            "jumps; expected a planner over controls, such as 'rrt'"
         )
     return vehicle.curves
