@@ -141,7 +141,7 @@ def report(kind: str, tasks: list[Task], options: argparse.Namespace) -> None:
     print_unsolved(outcomes)
     print_truth(outcomes, options)
     if kind == "horizon":
-        print_least_risk([run(t, p, None, 1.0, options) for t, p in every], drivers)
+        print_least_risk([run(t, p, None, 1.0, options) for t, p in every if not p.endswith("-capped")], drivers)
         if options.long > 0 and options.long_files > 0:
             print_reference(outcomes, tasks[:: max(1, len(tasks) // options.long_files)], options)
 

@@ -99,6 +99,7 @@ _PUBLIC = {
     **dict.fromkeys(("RiskMap", "risk_map"), "riskplan.pictures.risk_map"),
     "Roadmap": "riskplan.ompl.roadmap",
     "Prm": "riskplan.ompl.prm",
+    "PrmLazy": "riskplan.ompl.prm_lazy",
     "Rrt": "riskplan.ompl.rrt",
     "RrtStar": "riskplan.ompl.rrt_star",
     "SweepPoint": "riskplan.pareto",
@@ -186,6 +187,7 @@ if TYPE_CHECKING:
     from riskplan.io.trajectory import save_trajectory as save_trajectory
     from riskplan.io.occupancy_grid import OccupancyGrid as OccupancyGrid
     from riskplan.ompl.prm import Prm as Prm
+    from riskplan.ompl.prm_lazy import PrmLazy as PrmLazy
     from riskplan.ompl.roadmap import Roadmap as Roadmap
     from riskplan.ompl.rrt import Rrt as Rrt
     from riskplan.pictures import draw as draw

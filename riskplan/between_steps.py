@@ -81,6 +81,7 @@ class Inflated:
             risk,
             total=np.minimum(risk.total + self.reserve, 1.0),
             per_agent=np.minimum(risk.per_agent + share, 1.0),
+            per_step=np.minimum(risk.per_step + self.reserve, 1.0),
             boole=np.minimum(risk.boole + self.reserve, 1.0),
         )
 

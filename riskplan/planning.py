@@ -57,9 +57,39 @@ _PLANNERS = (
     ),
     PlannerInfo(
         "prm",
-        "roadmap of Dubins edges, searched in time under the risk budget; reusable for new predictions",
+        "roadmap of smooth edges, searched in time under the risk budget; reusable for new predictions",
         "Kavraki et al. 1996, OMPL og.PRM sampling",
         "prm:Prm",
+    ),
+    PlannerInfo(
+        "prm-lazy",
+        "prm that judges a way only once it leads to the goal; for costly checkers",
+        "Bohlin & Kavraki 2000, OMPL og.PRM sampling",
+        "prm_lazy:PrmLazy",
+    ),
+    PlannerInfo(
+        "rrt-capped",
+        "baseline without memory: rrt with a cap on every step in place of the total it carries",
+        "LaValle & Kuffner 2001, OMPL oc.RRT",
+        "capped:RrtCapped",
+    ),
+    PlannerInfo(
+        "rrt-connect-capped",
+        "baseline without memory: guides through place and time under a cap on every step, followed by the vehicle",
+        "Kuffner & LaValle 2000, OMPL og.RRTConnect",
+        "capped:RrtConnectCapped",
+    ),
+    PlannerInfo(
+        "rrt-star-capped",
+        "the same baseline, guides by RRT*",
+        "Karaman & Frazzoli 2011, OMPL og.RRTstar",
+        "capped:RrtStarCapped",
+    ),
+    PlannerInfo(
+        "fmt-capped",
+        "the same baseline, guides by FMT*",
+        "Janson et al. 2015, OMPL og.FMT",
+        "capped:FmtCapped",
     ),
 )
 

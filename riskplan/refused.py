@@ -9,7 +9,7 @@ _LENGTH = "draws its samples by path length, which is not what a plan among movi
 _UNBOUND = "OMPL 2.0.1 does not offer it to Python"
 _ABSTRACT = "OMPL 2.0.1 gives it no constructor in Python"
 
-_MEMORYLESS = "knows neither speed nor the risk so far, so it could only cap every step; `rrt` carries the total"
+_MEMORYLESS = "knows neither speed nor the risk so far; `rrt` carries the total, `{}` caps every step"
 
 # name: reason
 REFUSED = {
@@ -17,14 +17,14 @@ REFUSED = {
     "bfmt": _BACKWARD,
     "informed-rrt-star": _LENGTH,
     "sorrt-star": _LENGTH,
-    "rrt-connect": _MEMORYLESS,
-    "fmt": _MEMORYLESS,
-    "kpiece": _MEMORYLESS,
+    "rrt-connect": _MEMORYLESS.format("rrt-connect-capped"),
+    "fmt": _MEMORYLESS.format("fmt-capped"),
+    "kpiece": _MEMORYLESS.format("rrt-connect-capped"),
     "aorrtc": _GOAL_TREE,
     "bkpiece": _GOAL_TREE,
     "lbkpiece": _GOAL_TREE,
     "prm-star": _SYMMETRIC,
-    "lazy-prm": _UNBOUND + "; `prm` judges its edges late, too",
+    "lazy-prm": _UNBOUND + "; `prm-lazy` does what it does, over time",
     "spars": _UNBOUND,
     "strrt-star": _UNBOUND,
     "trrt": _UNBOUND,

@@ -28,7 +28,7 @@ def warm_up(planner: type[Planner]) -> None:
         lanes=(np.array([[-20.0, 0.0], [30.0, 0.0]]),),
     )
     evaluator = RiskEvaluator(scene.agents, scene.ego, checker("exact"), scene.times)
-    few = 40 if getattr(planner, "anytime", False) else None  # one that goes on would go on to its limit
+    few = 40 if getattr(planner, "anytime", False) else 2000  # one that goes on would go on to its limit
     found = planner().search(Problem(scene, evaluator), Budget(1.0, 60.0, iterations=few), 0)
     if found.states is not None:
         evaluator.judge(found.states[:, :3])

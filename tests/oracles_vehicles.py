@@ -44,7 +44,18 @@ def _pose_close(found, wanted):
 def _car_step(car, s0, s1, dt):
     low = -getattr(car, "max_reverse_speed", 0.0)
     assert low - 1e-9 <= s1[3] <= max(car.max_speed, s0[3]) + 1e-9
-    profile = _profile(s0, s1, dt)
+    # constant acceleration, or what the chord of one arc says; any that the limits allow for will do
+    profiles = [[(dt, (s1[3] - s0[3]) / dt, s0[3])], _profile(s0, s1, dt)]
+    failures = []
+    for profile in profiles:
+        try:
+            return _car_drives(car, s0, s1, profile)
+        except AssertionError as error:
+            failures.append(error)
+    raise failures[-1]
+
+
+def _car_drives(car, s0, s1, profile):
     for duration, a, v in profile:
         ends = np.array([v, v + a * duration])
         faster = abs(ends[1]) > abs(ends[0])

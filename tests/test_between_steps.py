@@ -225,6 +225,18 @@ def test_what_it_does_not_know_it_refuses():
         rp.plan(scene, between_steps="often")
 
 
+def test_the_reserve_is_in_every_figure_that_a_bound_is_held_against():
+    wide = rp.inflated(overtake(), 0.01)
+    poses = np.column_stack([15.0 * wide.scenario.times, 3.5 + 0 * wide.scenario.times, 0 * wide.scenario.times])
+    on_grid = rp.path_risk(poses, wide.scenario.agents, wide.scenario.ego, "independent")
+    stated = wide.stated(on_grid)
+    assert wide.reserve > 0
+    left = wide.left({"bound": 0.5, "step_bound": 0.5, "agent_bound": 0.5})
+    for name, values in (("bound", "total"), ("step_bound", "per_step"), ("agent_bound", "per_agent")):
+        spent = np.minimum(getattr(on_grid, values) + (0.5 - left[name]), 1.0)
+        np.testing.assert_allclose(getattr(stated, values), spent, rtol=1e-12)
+
+
 def test_no_agents_no_reserve():
     scene = crossing(0.1).with_task(agents=())
     wide = rp.inflated(scene, 0.01)

@@ -9,7 +9,7 @@ import riskplan as rp
 from riskplan.evaluator import RiskEvaluator
 from tests.scenes import agent, overtake
 
-PLANNERS = ("rrt", "prm")
+PLANNERS = ("rrt", "prm", "prm-lazy")
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +191,7 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            ({"planner": "rrtt"}, r"planner: expected one of rrt, rrt-star, prm; got 'rrtt'"),
+            ({"planner": "rrtt"}, r"planner: expected one of rrt, rrt-star, prm, .*; got 'rrtt'"),
             ({"checker": "exac"}, r"checker: expected one of exact, imhof"),
             ({"bound": 1.5}, r"bound: expected a finite number in \[0, 1\], got 1.5"),
             ({"bound": float("nan")}, r"bound: expected a finite number"),
@@ -352,3 +352,15 @@ def test_iterations_end_a_search_and_make_it_repeatable(scene, planner):
 def test_what_cannot_hold_the_bound_is_refused_with_the_reason(scene):
     with pytest.raises(rp.InputError, match="^bit-star: .*backward in time.*; expected one of rrt, "):
         rp.plan(scene, planner="bit-star")
+
+
+def test_judging_late_judges_less():
+    """`prm-lazy` charges only the poses of ways that lead to the goal."""
+    scene = overtake()
+    steps = {}
+    for planner in ("prm", "prm-lazy"):
+        plans = [rp.plan(scene, planner, bound=0.05, time_limit=20.0, seed=seed) for seed in range(10)]
+        assert all(plan.solved and float(plan.risk.total) <= 0.05 for plan in plans)
+        steps[planner] = sum(plan.stats["checked_steps"] for plan in plans)
+        assert min(plan.stats["checked_steps"] for plan in plans) >= 44  # the plan itself, at least
+    assert steps["prm-lazy"] < 0.9 * steps["prm"], steps

@@ -73,6 +73,42 @@ def shortest(x0, y0, h0, x1, y1, h1, radius, out):
 
 
 @nb.njit(cache=True, error_model="numpy")
+def biarc(x0, y0, h0, x1, y1, h1, out):
+    """Two arcs that join the poses smoothly, their tangents of equal length (Bolton 1975); the length, or infinity.
+
+    out (6,) as of `shortest`, without a straight part.
+    """
+    c0, s0, c1, s1 = math.cos(h0), math.sin(h0), math.cos(h1), math.sin(h1)
+    vx, vy = x1 - x0, y1 - y0
+    squared, forward = vx * vx + vy * vy, vx * (c0 + c1) + vy * (s0 + s1)
+    bend = 2.0 * (1.0 - (c0 * c1 + s0 * s1))
+    under = forward + math.sqrt(forward * forward + bend * squared)
+    if not under > 0.0:
+        return np.inf
+    d = squared / under
+    mx, my = 0.5 * (x0 + x1 + d * (c0 - c1)), 0.5 * (y0 + y1 + d * (s0 - s1))
+    ax, ay, bx, by = mx - x0, my - y0, x1 - mx, y1 - my
+    first = math.atan2(c0 * ay - s0 * ax, c0 * ax + s0 * ay)
+    second = math.atan2(bx * s1 - by * c1, bx * c1 + by * s1)
+    if max(abs(first), abs(second)) > 1.5:
+        return np.inf
+    out[0], out[1], out[2], out[4] = (
+        _arc_over(math.hypot(ax, ay), first),
+        0.0,
+        _arc_over(math.hypot(bx, by), second),
+        0.0,
+    )
+    out[3], out[5] = 2.0 * first / max(out[0], 1e-12), 2.0 * second / max(out[2], 1e-12)
+    return out[0] + out[2]
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _arc_over(chord, half):
+    """Length of an arc over a chord that turns by twice `half`."""
+    return chord * (half / math.sin(half) if abs(half) > 1e-8 else 1.0)
+
+
+@nb.njit(cache=True, error_model="numpy")
 def along(x, y, heading, curve, s):
     """Pose at arclength s of the curve (6,) from `shortest` that starts at (x, y, heading)."""
     for i in range(3):

@@ -1,4 +1,4 @@
-"""Directed Dubins edges of a roadmap, and driving along them on the time grid."""
+"""Directed edges of a roadmap, and driving along them on the time grid."""
 
 import math
 
@@ -6,27 +6,49 @@ import numba as nb
 import numpy as np
 
 from riskplan.kernels.car import ACCELERATION, DECELERATION, LATERAL, SPEED, wrap
-from riskplan.kernels.dubins import along, shortest
+from riskplan.kernels.dubins import along, biarc, shortest
 from riskplan.kernels.world import goal_region, swept_free
 
-# accelerations, relative to the limits, with which an edge is tried
-_PACES = np.array([0.0, 0.3, -0.2, 0.8, -0.6])
+# accelerations, relative to the limits, with which an edge is driven
+_PACES = np.array([0.0, 0.3, -0.2, 0.8, -0.6, -1.0])
 # most arrival times tried on an edge into the goal
 ARRIVALS = 12
+_GREED = 0.5  # by which a least ride is longer in the rank
+# steps after which one who drives on, or stands, decides anew
+_LONGEST, _WAIT = 15, 5
+# columns of a child, see `expand`, and most children of an edge
+CHILD, CHILDREN = 8, _PACES.shape[0] + ARRIVALS
 
 
 @nb.njit(cache=True, error_model="numpy")
-def connect(sources, targets, radii, shortest_edge, longest_edge, most):
-    """Edges from every source pose to at most `most` target poses ahead of it.
+def join(a, b, radii, kind, curve):
+    """Fill `curve` (6,) with a way from pose a to pose b; its length, or infinity if it turns more than it must.
 
-    The first of the turning radii (widest first) that needs no loop makes the curve: an edge is kept if it is between
-    the lengths given and hardly longer than the straight line. Targets are taken in their (random) order, so that few
-    edges still point everywhere.
+    Kind 0 is a biarc, if the last radius, the tightest, allows for it: of the ways without a straight part it bends
+    least. Kind k > 0 is the Dubins curve of radius k − 1, which may keep closer to a lane round a corner.
+    """
+    most = 1.15 * math.hypot(b[0] - a[0], b[1] - a[1]) + 0.2
+    if kind == 0:
+        length = biarc(a[0], a[1], a[2], b[0], b[1], b[2], curve)
+        if max(abs(curve[3]), abs(curve[5])) * radii[-1] > 1.0:
+            return np.inf
+    else:
+        length = shortest(a[0], a[1], a[2], b[0], b[1], b[2], radii[kind - 1], curve)
+    return length if length <= most else np.inf
+
+
+@nb.njit(cache=True, error_model="numpy")
+def connect(sources, targets, radii, shortest_edge, longest_edge, most, world):
+    """Edges from every source pose to at most `most` target poses ahead of it, free of the static world.
+
+    An edge is kept if it is between the lengths given and hardly longer than the straight line; of the kinds of `join`
+    the first that is free is taken. Targets come in their (random) order, so that few edges still point everywhere.
 
     Returns:
-        (E, 2) int source and target, (E, 6) curves, (E,) lengths.
+        (E, 2) int source and target, (E,) kinds, (E, 6) curves, (E,) lengths.
     """
     ends = np.empty((sources.shape[0] * most, 2), np.int64)
+    kinds = np.empty(sources.shape[0] * most, np.int64)
     curves = np.empty((sources.shape[0] * most, 6))
     lengths = np.empty(sources.shape[0] * most)
     count = 0
@@ -44,127 +66,210 @@ def connect(sources, targets, radii, shortest_edge, longest_edge, most):
             if abs(wrap(targets[j, 2] - sources[i, 2])) > 1.7:
                 continue
             length = np.inf
-            for radius in radii:
-                length = shortest(
-                    sources[i, 0],
-                    sources[i, 1],
-                    sources[i, 2],
-                    targets[j, 0],
-                    targets[j, 1],
-                    targets[j, 2],
-                    radius,
-                    curves[count],
-                )
-                if length <= 1.15 * straight + 0.2:
+            for kind in range(radii.shape[0] + 1):
+                length = join(sources[i], targets[j], radii, kind, curves[count])
+                kinds[count] = kind
+                if length < np.inf and _free(sources[i], curves[count], length, world):
                     break
-            if length > 1.15 * straight + 0.2:
+                length = np.inf
+            if length == np.inf:
                 continue
             ends[count, 0], ends[count, 1], lengths[count] = i, j, length
             count += 1
             found += 1
             if found == most:
                 break
-    return ends[:count], curves[:count], lengths[:count]
+    return ends[:count], kinds[:count], curves[:count], lengths[:count]
 
 
 @nb.njit(cache=True, error_model="numpy")
-def paces(length, speed, curvature, dt, earliest, latest, limits, out):
-    """Fill out (P, 2) with (steps, acceleration) that drive `length` in whole steps from `speed`; return how many.
+def rejoin(vertices, ends, kinds, radii):
+    """(E, 6) curves and (E,) lengths of the edges between given pairs of vertices; infinite where there is none."""
+    curves, lengths = np.zeros((ends.shape[0], 6)), np.empty(ends.shape[0])
+    for e in range(ends.shape[0]):
+        lengths[e] = join(vertices[ends[e, 0]], vertices[ends[e, 1]], radii, kinds[e], curves[e])
+    return curves, lengths
 
-    The acceleration is constant, so that the speed at the end follows from the number of steps. A few accelerations
-    are tried, rounded to whole steps; with `earliest` > 0, for an edge into the goal, arrivals spread over
-    earliest…latest steps instead.
+
+@nb.njit(cache=True, error_model="numpy")
+def _free(source, curve, length, world):
+    """Whether the body is off the static world all along."""
+    count = int(length / world[0]) + 1
+    px, py, ph = source[0], source[1], source[2]
+    for i in range(1, count + 1):
+        qx, qy, qh = px, py, ph
+        px, py, ph = along(source[0], source[1], source[2], curve, length * i / count)
+        if not swept_free(qx, qy, qh, px, py, ph, world):
+            return False
+    return True
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _bend(curve, begin, end):
+    """Largest |curvature| between two arclengths."""
+    most, at = 0.0, 0.0
+    for i in range(3):
+        after = at + curve[i] if i < 2 else np.inf
+        if after > begin and at < end:
+            most = max(most, abs(curve[3 + i]))
+        at = after
+    return most
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _faster(speed, a, dt, top):
+    """Speed a step later: to a standstill, or to the top speed, at the end of a step, not within it."""
+    return max(min(speed + a * dt, max(top, speed)), 0.0)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _cornering(curve, begin, length, limits):
+    """Speed at which the sharpest bend that is left of an edge can be taken."""
+    bend = _bend(curve, begin, length)
+    return min(limits[SPEED], math.sqrt(limits[LATERAL] / bend)) if bend > 0.0 else limits[SPEED]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def traverse(pose, curve, length, child, label, dt, latest, earliest, limits, world, goal, out):
+    """Drive a child along its edge. Returns (steps driven, arrived), −1 steps if the world is in the way.
+
+    pose: (3,) where the edge begins; child: a row of `expand`; label: (x, y, heading, speed, place, step, pending,
+    fastest), see `expand`. A pending pose is driven first. Ends early in the goal. out: (S, 4) x, y, heading, speed.
     """
-    top = limits[SPEED]
-    if curvature > 0.0:
-        top = min(top, math.sqrt(limits[LATERAL] / curvature))
-        if speed > top * 1.0001:
-            return 0
+    steps, a, pending = int(child[1]), child[2], child[6] > 0.0
+    px, py, ph, speed, place, step = label[0], label[1], label[2], label[3], label[4], int(label[5])
+    top = _cornering(curve, place, length, limits)
     count = 0
-    if earliest > 0:
-        stride = max(1, (latest - earliest) // ARRIVALS)
-        for steps in range(earliest, latest + 1, stride):
-            count = _add_pace(steps, length, speed, top, dt, limits, count, out)
-            if count == ARRIVALS:
-                break
-        return count
-    for p in range(_PACES.shape[0]):
-        a = _PACES[p] * (limits[ACCELERATION] if _PACES[p] > 0.0 else limits[DECELERATION])
-        under = speed * speed + 2.0 * a * length
-        if under <= 0.0:
+    for i in range(0 if label[6] > 0.0 else 1, steps if pending else steps + 1):
+        if step + i > latest:
+            break
+        if i > 0:
+            after = _faster(speed, a, dt, top)
+            place, speed = place + 0.5 * (speed + after) * dt, after
+        qx, qy, qh = px, py, ph
+        px, py, ph = along(pose[0], pose[1], pose[2], curve, place)
+        if not swept_free(qx, qy, qh, px, py, ph, world):
+            return -1, False
+        out[count, 0], out[count, 1], out[count, 2], out[count, 3] = px, py, ph, speed
+        count += 1
+        if step + i >= earliest and goal_region(px, py, ph, speed, *goal) >= 0:
+            return count, True
+    return count, False
+
+
+@nb.njit(cache=True, error_model="numpy")
+def expand(edges, label, here, window, lengths, curves, final, away, road, dt, limits, out):
+    """Children of a label: its edges at all paces that can still reach the goal. Returns how many.
+
+    A label stands for the ego at a step, at a place beyond the vertex where its edges begin. Where that vertex has
+    just been passed the pose is pending: it lies on the edge that is chosen next, which drives it first.
+
+    Args:
+        edges: (first, last + 1) of the edges it may take.
+        label: as of `traverse`.
+        here: way to the goal from where the label is, for the rank.
+        window: earliest and latest step of an arrival.
+        final: (E,) whether an edge ends in a goal pose.
+        away: (E,) lower bound of the distance from an edge's end to the goal; road: (E,) way there, for the rank.
+        out: (children, CHILD): edge (−1: none, it waits), steps, acceleration, rank (see `_rank`), place and speed
+            afterwards, whether the pose is pending then, the fastest of the last step.
+    """
+    speed, place, step = label[3], label[4], int(label[5])
+    earliest, latest = window
+    count = 0
+    if speed < 0.0:
+        return 0  # edges go forwards
+    if speed == 0.0 and step + _WAIT <= latest:
+        ride = least_time(here, 0.0, limits[ACCELERATION], limits[SPEED]) / dt
+        out[0, 0], out[0, 1], out[0, 2] = -1, _WAIT, 0.0
+        out[0, 3] = _rank(step + _WAIT, ride, here, 0.0, earliest, dt, limits)
+        out[0, 4], out[0, 5], out[0, 6], out[0, 7] = place, 0.0, 0.0, 0.0
+        count = 1
+    for e in range(edges[0], edges[1]):
+        if place >= lengths[e]:
             continue
-        after = math.sqrt(under)
-        if speed + after < 1e-6:
+        if label[6] > 0.0 and _bend(curves[e], 0.0, place) * label[7] ** 2 > limits[LATERAL] * 1.0001:
             continue
-        steps = max(int(round(2.0 * length / (speed + after) / dt)), 1)
-        if steps <= latest:
-            count = _add_pace(steps, length, speed, top, dt, limits, count, out)
+        left = lengths[e] - place
+        top = _cornering(curves[e], place, lengths[e], limits)
+        for p in range(_PACES.shape[0]):
+            a = _PACES[p] * (limits[ACCELERATION] if _PACES[p] > 0.0 else limits[DECELERATION])
+            if speed == 0.0 and a <= 0.0:
+                continue
+            count = _child(
+                e, a, speed, place, step, curves[e], lengths[e], top, dt, window, limits, away[e], road[e], count, out
+            )
+        if final[e]:
+            soonest = max(earliest - step, 1)
+            stride = max(1, (latest - step - soonest) // ARRIVALS)
+            tried = 0
+            for steps in range(soonest, latest - step + 1, stride):
+                duration = steps * dt
+                a = 2.0 * (left - speed * duration) / (duration * duration)
+                after = speed + a * duration
+                fits = -limits[DECELERATION] <= a <= limits[ACCELERATION] and 0.0 <= after <= max(top, speed)
+                if fits and _bends(curves[e], speed, a, place, steps, dt, limits):
+                    out[count, 0], out[count, 1], out[count, 2], out[count, 3] = e, steps, a, step + steps
+                    out[count, 4], out[count, 5], out[count, 6], out[count, 7] = lengths[e], after, 0.0, 0.0
+                    count += 1
+                    tried += 1
+                    if tried == ARRIVALS:
+                        break
     return count
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _add_pace(steps, length, speed, top, dt, limits, count, out):
-    """Append (steps, acceleration) if it is within the limits and not there yet."""
-    duration = steps * dt
-    a = 2.0 * (length - speed * duration) / (duration * duration)
-    after = speed + a * duration
-    if after < 0.0 or after > max(top, speed) or a > limits[ACCELERATION] or a < -limits[DECELERATION]:
-        return count
-    for q in range(count):
-        if out[q, 0] == steps:
+def _child(e, a, speed, place, step, curve, length, top, dt, window, limits, away, road, count, out):
+    """Append the way along an edge at one acceleration, until its end, a standstill, or for `_LONGEST` steps."""
+    latest, lateral = window[1], limits[LATERAL] * 1.0001
+    steps, fastest = 0, speed
+    while place < length and steps < _LONGEST and (steps == 0 or speed > 0.0):
+        after = _faster(speed, a, dt, top)
+        fastest, begin = max(speed, after), place
+        place, speed = place + 0.5 * (speed + after) * dt, after
+        steps += 1
+        # what of the step is beyond the end lies on another edge
+        if step + steps <= latest and _bend(curve, begin, min(place, length)) * fastest * fastest > lateral:
             return count
-    out[count, 0], out[count, 1] = steps, a
+    beyond = max(place - length, 0.0)
+    distance = max(away - abs(place - length), 0.0)
+    ride = least_time(distance, speed, limits[ACCELERATION], limits[SPEED]) / dt
+    # an edge that passes the goal's last step can still arrive on the way
+    if step + steps < latest and step + steps + ride > latest + 1e-9:
+        return count
+    passed = place >= length
+    out[count, 0], out[count, 1], out[count, 2] = e, steps, a
+    left = max(road + length - place, 0.0)
+    ride = least_time(left, speed, limits[ACCELERATION], limits[SPEED]) / dt
+    out[count, 3] = _rank(step + steps, ride, left, speed, window[0], dt, limits)
+    out[count, 4], out[count, 5] = beyond if passed else place, speed
+    out[count, 6], out[count, 7] = 1.0 if passed else 0.0, fastest
     return count + 1
 
 
-@nb.njit(cache=True, error_model="numpy")
-def traverse(x, y, heading, speed, step, curve, steps, acceleration, dt, latest, earliest, world, goal, out):
-    """Drive an edge. Returns (steps driven, arrived): 0 if the world is in the way; ends early in the goal.
+@nb.njit(inline="always", error_model="numpy")
+def _rank(step, ride, distance, speed, earliest, dt, limits):
+    """Step of the arrival to be hoped for: that of the least `ride`, half as long again; not before the first allowed,
 
-    out: (S, 4) x, y, heading, speed per step.
+    and later by the time it takes to change to the speed at which one would arrive then.
     """
-    px, py, ph = x, y, heading
-    for i in range(min(steps, latest - step)):
-        time = (i + 1) * dt
-        s = speed * time + 0.5 * acceleration * time * time
-        qx, qy, qh = px, py, ph
-        px, py, ph = along(x, y, heading, curve, s)
-        v = max(speed + acceleration * time, 0.0)
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = px, py, ph, v
-        if not swept_free(qx, qy, qh, px, py, ph, world):
-            return 0, False
-        if step + i + 1 >= earliest and goal_region(px, py, ph, v, *goal) >= 0:
-            return i + 1, True
-    return min(steps, latest - step), False
+    soon = step + (1.0 + _GREED) * ride
+    if step >= earliest:
+        return soon
+    wanted = distance / ((earliest - step) * dt)
+    return max(soon, earliest) + abs(wanted - speed) / (limits[ACCELERATION] * dt)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def expand(vertex, speed, step, earliest, latest, goals, start, lengths, curves, dt, limits, ends, distance, out):
-    """Children (edge, steps, acceleration, key) of a label: all edges at all paces that can still reach the goal.
-
-    goals: first and last+1 vertex that lies in the goal; start (V+1,) offsets of each vertex's edges; distance (V,)
-    straight distance of a vertex to the goal. The key is the earliest step at which the goal could be reached that way.
-    """
-    count = 0
-    room = np.empty((max(_PACES.shape[0], ARRIVALS), 2))
-    for e in range(start[vertex], start[vertex + 1]):
-        curvature = 0.0
-        for i in range(3):
-            if curves[e, i] > 1e-6:
-                curvature = max(curvature, abs(curves[e, 3 + i]))
-        # other edges may outlast the horizon: the goal can lie on the way
-        soonest, last = (max(earliest - step, 1), latest - step) if goals[0] <= ends[e] < goals[1] else (0, latest)
-        for p in range(paces(lengths[e], speed, curvature, dt, soonest, last, limits, room)):
-            steps, a = int(room[p, 0]), room[p, 1]
-            after = speed + a * steps * dt
-            left = least_time(distance[ends[e]], after, limits[ACCELERATION], limits[SPEED])
-            key = step + steps + left / dt
-            # an edge that passes the goal's last step can still arrive on the way
-            if step + steps < latest and key > latest + 1e-9:
-                continue
-            out[count, 0], out[count, 1], out[count, 2], out[count, 3] = e, steps, a, key
-            count += 1
-    return count
+def _bends(curve, speed, a, place, steps, dt, limits):
+    """Whether no bend is taken too fast for so many steps."""
+    for _ in range(steps):
+        after, begin = speed + a * dt, place
+        place += 0.5 * (speed + after) * dt
+        if _bend(curve, begin, place) * max(speed, after) ** 2 > limits[LATERAL] * 1.0001:
+            return False
+        speed = after
+    return True
 
 
 @nb.njit(inline="always", error_model="numpy")

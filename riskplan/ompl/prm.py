@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from ompl import base as ob
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
 from checkers import InputError
 from checkers.validate import Array
-from riskplan.kernels.roadmap import ARRIVALS, connect, expand, traverse
-from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler, edge_scale
+from riskplan.kernels.roadmap import CHILD, CHILDREN, connect, expand, traverse
+from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler
 from riskplan.ompl.validity import RiskMotionValidator
 from riskplan.search import Budget, Problem, SearchResult
 from riskplan.vehicles import curve_limits
 
 _SAME_SPEED = 1.0  # labels at one vertex and step compete within this [m/s]
+TOGETHER = 5  # arrivals within so many steps are alike
+_FAILURES = 0.3  # children of a label that fail put the others back by a step
+_UNCONNECTED = 500  # labels made on a roadmap that does not lead to the goal
 _KEPT = 4  # labels kept per vertex, step and speed
 _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
 
@@ -27,10 +33,10 @@ _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
 class Prm:
     """Probabilistic roadmap (Kavraki et al. 1996) with a time-expanded label search.
 
-    OMPL's PRM samples the vertices; its undirected edges are not used. A label is a vertex at a grid step with a speed
-    and the accumulated risk per agent and mode; an edge lasts a whole number of steps at constant acceleration. One
-    label replaces another at the same vertex, step and speed if no component of its risk is higher. The roadmap is
-    made larger while the search fails and time is left.
+    OMPL's PRM samples the vertices; its undirected edges are not used. A label is a place on an edge at a grid step,
+    with a speed and the accumulated risk per agent and mode; the acceleration is chosen anew where an edge ends, where
+    the ego stands, and after 15 steps. One label replaces another at the same vertex, step and speed if no component of
+    its risk is higher. The roadmap is made larger while the search fails and time is left.
 
     Attributes:
         size: vertices at first.
@@ -41,183 +47,301 @@ class Prm:
     roadmap: Roadmap | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.size, int) or isinstance(self.size, bool) or self.size < 2:
-            raise InputError(f"prm: size: expected an integer >= 2, got {self.size!r}")
-        if self.roadmap is not None and not isinstance(self.roadmap, Roadmap):
-            raise InputError(f"prm: roadmap: expected a Roadmap, got {type(self.roadmap).__name__}")
+        check_options("prm", self.size, self.roadmap)
 
     def search(self, problem: Problem, budget: Budget, seed: int) -> SearchResult:
         """Search the roadmap; enlarge and search again until the goal is reached in budget, or time is up."""
-        rng = np.random.default_rng(seed)
-        size, roadmap, sampler = self.size, self.roadmap, None
-        if roadmap is not None and roadmap.radii.min() < 1.0 / curve_limits(problem.scenario.vehicle).curvature - 1e-9:
-            roadmap = Roadmap.of(roadmap.vertices, *edge_scale(problem.scenario))  # made for a nimbler car
-        best: SearchResult | None = None
-        counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
-        lowest = np.inf
-        while True:
-            began = perf_counter()
-            if roadmap is None:
-                sampler = sampler or Sampler(problem.scenario, problem.world, seed)
-                roadmap = Roadmap.of(sampler.grow(size, budget.expired), *edge_scale(problem.scenario))
-                budget.iterations += size
-            built = perf_counter() - began
-            query = _Query(problem, budget, roadmap, rng)
-            result = query.run()
-            lowest = min(lowest, result.lowest_seen)
-            for key, value in result.counters.items():
-                counters[key] = value if key in ("vertices", "edges") else counters[key] + value
-            counters["roadmaps"] += 1
-            if result.states is not None or best is None:
-                best = result
-            if budget.expired() or (best.states is not None and budget.bound is not None):
-                break
-            # larger at first; once large, or if a larger one would take what time is left, another one of that size
-            before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
-            if size > _LARGEST or (not budget.counted and budget.left() < 8.0 * built):
-                size, sampler, seed = min(before, _LARGEST), None, seed + 1
-        return SearchResult(best.states, lowest, counters, best.edges)
+        return search_roadmaps(self.size, self.roadmap, (problem, budget, seed), Query.run)
 
 
-class _Query:
+def check_options(name: str, size: int, roadmap: Roadmap | None) -> None:
+    """Refuse what is no size or no roadmap."""
+    if not isinstance(size, int) or isinstance(size, bool) or size < 2:
+        raise InputError(f"{name}: size: expected an integer >= 2, got {size!r}")
+    if roadmap is not None and not isinstance(roadmap, Roadmap):
+        raise InputError(f"{name}: roadmap: expected a Roadmap, got {type(roadmap).__name__}")
+
+
+def search_roadmaps(
+    size: int, roadmap: Roadmap | None, task: tuple[Problem, Budget, int], run: Callable[[Query], SearchResult]
+) -> SearchResult:
+    """Query roadmaps, the given one first, until the goal is reached in budget, or time is up."""
+    problem, budget, seed = task
+    rng = np.random.default_rng(seed)
+    sampler: Sampler | None = None
+    if roadmap is not None and roadmap.radii.min() < 1.0 / curve_limits(problem.scenario.vehicle).curvature - 1e-9:
+        roadmap = Roadmap.of(problem.scenario, roadmap.vertices, budget.expired)  # made for a nimbler car
+    best: SearchResult | None = None
+    counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
+    lowest = np.inf
+    while True:
+        began = perf_counter()
+        if roadmap is None:
+            sampler = sampler or Sampler(problem.scenario, problem.world, seed)
+            roadmap = Roadmap.of(problem.scenario, sampler.grow(size, budget.expired), budget.expired)
+            budget.iterations += size
+        built = perf_counter() - began
+        result = run(Query(problem, budget, roadmap, rng))
+        lowest = min(lowest, result.lowest_seen)
+        for key, value in result.counters.items():
+            counters[key] = value if key in ("vertices", "edges") else counters[key] + value
+        counters["roadmaps"] += 1
+        if result.states is not None or best is None:
+            best = result
+        if budget.expired() or (best.states is not None and budget.bound is not None):
+            break
+        # larger at first; once large, or if a larger one would take what time is left, another one of that size
+        before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
+        if size > _LARGEST or (not budget.counted and budget.left() < 8.0 * built):
+            size, sampler, seed = min(before, _LARGEST), None, seed + 1
+    return SearchResult(best.states, lowest, counters, best.edges)
+
+
+class Label(NamedTuple):
+    """The ego at a step of the grid, on the way along an edge.
+
+    Attributes:
+        pose: (3,) the last that is known: at this step, or the step before if `pending`.
+        vertex: where its edges begin; edge: the one it is on, or −1 for any of them.
+        place: beyond the vertex [m]; pending: whether the pose at this step lies on the edge that is chosen next.
+        fastest: speed within the last step; poses: (S, 4) driven since the parent, x, y, heading, speed.
+    """
+
+    pose: Array
+    speed: float
+    step: int
+    vertex: int
+    edge: int
+    place: float
+    pending: bool
+    fastest: float
+    risk: Array
+    total: float
+    parent: int
+    poses: Array
+
+    @property
+    def row(self) -> Array:
+        """As the kernels read it."""
+        return np.array([*self.pose, self.speed, self.place, self.step, self.pending, self.fastest])
+
+    @property
+    def key(self) -> tuple[int, int, int, int, int]:
+        """Labels with the same compete."""
+        place = int(self.place) if self.edge >= 0 else 0
+        return self.vertex, self.edge, self.step, int(self.speed / _SAME_SPEED), place
+
+
+class Query:
     """One label search over a roadmap with start and goal attached."""
 
     def __init__(self, problem: Problem, budget: Budget, roadmap: Roadmap, rng: np.random.Generator) -> None:
         self.problem, self.budget = problem, budget
-        s = problem.scenario
         self.validator = _motion_validator(problem)
-        self.limits = np.array(curve_limits(s.vehicle))
-        self.edges = _Edges(roadmap, np.array([problem.start_state[:3]]), _free_goals(problem, rng, 48))
-        self.distance = problem.goal.box_distances(self.edges.poses[:, :2])
+        self.limits = np.array(curve_limits(problem.scenario.vehicle))
+        self.edges = _Edges(problem, roadmap, _free_goals(problem, rng, 48))
+        self.out = np.empty((problem.goal.latest + 2, 4))
+        self.room = np.empty((10 * EDGES * CHILDREN + 1, CHILD))
+        # where no edges lead to the goal one may pass it on the way; more vertices are the better bet
+        self.most = np.inf if self.edges.connected else _UNCONNECTED
+        pose, speed, nothing = np.array(problem.start_state[:3]), problem.start_state[3], np.zeros((0, 4))
+        start = (pose, speed, 0, self.edges.source, -1, 0.0, False, speed)
+        self.labels = [Label(*start, problem.start_risk, problem.start_total, -1, nothing)]
+        self.checked, self.lowest = 0, np.inf
 
     def run(self) -> SearchResult:
         """Best-first over lazily judged labels: a child is driven and charged when it is taken, not when it is made."""
         p, budget = self.problem, self.budget
-        goal, dt = p.goal, p.scenario.time_step
-        out = np.empty((max(goal.latest, 1), 4))
-        room = np.empty((11 * EDGES * ARRIVALS, 4))
-        # state, step, vertex, risk, total, parent, driven poses
-        labels: list[tuple[Array, int, int, Array, float, int, Array]] = []
-        labels.append(
-            (np.array(p.start_state), 0, self.edges.source, p.start_risk, p.start_total, -1, np.zeros((0, 4)))
-        )
-        seen: dict[tuple[int, int, int], list[Array]] = {}
-        heap: list[tuple[float, float, int, int, int, int, float]] = []
-        serial, checked, best, lowest = 0, 0, -1, np.inf
+        seen: dict[tuple[int, ...], list[Array]] = {}
+        heap: list[tuple[float, float, int, int, tuple[float, ...]]] = []
+        failed: dict[int, int] = {}
+        serial, best = 0, -1
 
         def push(number: int) -> None:
             nonlocal serial
-            state, step, vertex, _, total, _, _ = labels[number]
-            ends, curves, lengths = self.edges.out_of(vertex)
-            window, goals, pick = (goal.earliest, goal.latest), self.edges.goals, np.array([0, len(ends)])
-            graph = (goals, pick, lengths, curves, dt, self.limits, ends, self.distance)
-            count = expand(0, state[3], step, *window, *graph, room)
-            for edge, steps, acceleration, key in room[:count].tolist():
+            label = self.labels[number]
+            for child in self.children(label):
                 serial += 1
-                rank = max(key, goal.earliest) if budget.bound is not None else _decade(total)
-                entry = (
-                    rank,
-                    -min(step + steps, goal.latest),
-                    serial,
-                    number,
-                    int(edge),
-                    int(steps),
-                    acceleration,
-                )
-                heapq.heappush(heap, entry)
+                after = min(label.step + child[1], p.goal.latest)
+                rank = child[3] // TOGETHER if budget.bound is not None else _decade(label.total)
+                heapq.heappush(heap, (rank, -after, serial, number, tuple(child)))
 
         push(0)
-        while heap and not budget.over():
-            _, _, _, number, edge, steps, acceleration = heapq.heappop(heap)
-            state, step, vertex, risk, total, _, _ = labels[number]
-            if total > budget.limit:
+        while heap and len(self.labels) < self.most and not budget.over():
+            rank, tie, order, number, child = heapq.heappop(heap)
+            label = self.labels[number]
+            if label.total > budget.limit:
                 continue
-            ends, curves, _ = self.edges.out_of(vertex)
-            driven, arrived = traverse(
-                *state,
-                step,
-                curves[edge],
-                steps,
-                acceleration,
-                dt,
-                goal.latest,
-                goal.earliest,
-                p.world.packed,
-                goal.arrays,
-                out,
-            )
-            if driven == 0 or (not arrived and step + driven >= goal.latest):
+            # deep first, but not where one way after the other fails
+            late = failed.get(number, 0) / _FAILURES - min(label.step + child[1], p.goal.latest)
+            if late > tie + 1.0:
+                heapq.heappush(heap, (rank, late, order, number, child))
                 continue
-            after = np.empty_like(risk)
-            limit = max(budget.limit, lowest) if arrived else budget.limit  # or while it may be the least risky seen
-            total = self.validator.charge(out[:driven, :3], step + 1, risk, limit, after)
-            checked += driven
-            if arrived and total <= budget.limit:
-                path = np.concatenate([_states(labels, number), out[:driven]])
-                total = p.evaluator.confirmed(path[:, :3], total)
+            driven = self.driven(number, child)
+            judged = None if driven is None else self.charged(*driven)
+            if driven is None or judged is None:
+                failed[number] = failed.get(number, 0) + 1
+                continue
+            label, arrived = judged, driven[1]
+            if not arrived and not _undominated(seen, label.key, p.evaluator.levels(label.risk)):
+                continue
+            self.labels.append(label)
             if arrived:
-                lowest = min(lowest, total)
-            if not total <= budget.limit:
-                continue
-            vertex, end = int(ends[edge]), out[driven - 1].copy()
-            key = vertex, step + driven, int(end[3] / _SAME_SPEED)
-            if not arrived and not _undominated(seen, key, p.evaluator.levels(after)):
-                continue
-            labels.append((end, step + driven, vertex, after, total, number, out[:driven].copy()))
-            if arrived:
-                best = len(labels) - 1
-                if budget.found(total):
+                best = len(self.labels) - 1
+                if budget.found(label.total):
                     break
             else:
-                push(len(labels) - 1)
+                push(len(self.labels) - 1)
+        return self.result(best)
+
+    def result(self, best: int) -> SearchResult:
+        """What was found: the way to the label of that number, −1 for none."""
         counters = {
             "vertices": len(self.edges.poses),
             "edges": len(self.edges.roadmap.ends),
-            "labels": len(labels),
-            "checked_steps": checked,
+            "labels": len(self.labels),
+            "checked_steps": self.checked,
         }
-        return SearchResult(_states(labels, best), lowest, counters, self._edges(labels, dt))
+        return SearchResult(states_to(self.labels, best) if best >= 0 else None, self.lowest, counters, self._tree())
 
-    @staticmethod
-    def _edges(labels: list[Any], dt: float) -> Array:
-        rows = [(*labels[x[5]][0][:2], *x[0][:2], x[1] * dt) for x in labels[1:]]
+    def children(self, label: Label) -> list[list[float]]:
+        """Rows of `expand`."""
+        goal = self.problem.goal
+        edges = self.edges.out_of(label.vertex)
+        chosen = (0, len(edges.lengths)) if label.edge < 0 else (label.edge, label.edge + 1)
+        here = max(self.edges.road[label.vertex] - label.place, 0.0)
+        graph = edges.lengths, edges.curves, edges.final, edges.away, edges.road
+        fixed = self.problem.scenario.time_step, self.limits, self.room
+        count = expand(chosen, label.row, here, (goal.earliest, goal.latest), *graph, *fixed)
+        rows: list[list[float]] = self.room[:count].tolist()
+        return rows
+
+    def driven(self, number: int, child: tuple[float, ...]) -> tuple[Label, bool] | None:
+        """The label at the end of a child, not charged, and whether it arrived; None if the world is in the way."""
+        label, edge = self.labels[number], int(child[0])
+        poses, arrived = self._waited(label, int(child[1])) if edge < 0 else self._traversed(label, child)
+        step = label.step + int(child[1])
+        if poses is None or (not arrived and step > self.problem.goal.latest):
+            return None
+        pose = poses[-1, :3] if len(poses) else label.pose
+        vertex, place, pending = label.vertex, child[4], child[6] > 0.0
+        if pending:
+            vertex, edge = int(self.edges.out_of(vertex).ends[edge]), -1
+        elif edge < 0:
+            edge = label.edge
+        after = (pose, child[5], step, vertex, edge, place, pending, child[7])
+        return Label(*after, label.risk, label.total, number, poses), arrived
+
+    def charged(self, label: Label, arrived: bool) -> Label | None:
+        """The label with the risk of the way to it, as its parent has; None if that is above the limit."""
+        parent, poses = self.labels[label.parent], label.poses
+        risk, total = parent.risk, parent.total
+        if len(poses):
+            risk, first = np.empty_like(parent.risk), parent.step + (0 if parent.pending else 1)
+            # an arrival counts while it may be the least risky seen
+            limit = max(self.budget.limit, self.lowest) if arrived else self.budget.limit
+            total = self.validator.charge(np.ascontiguousarray(poses[:, :3]), first, parent.risk, limit, risk)
+            self.checked += len(poses)
+        if arrived and total <= self.budget.limit:
+            path = states_to([*self.labels, label], len(self.labels))
+            total = self.problem.evaluator.confirmed(path[:, :3], total)
+        if arrived:
+            self.lowest = min(self.lowest, total)
+        return label._replace(risk=risk, total=total) if total <= self.budget.limit else None
+
+    def _traversed(self, label: Label, child: tuple[float, ...]) -> tuple[Array | None, bool]:
+        p, edges, edge = self.problem, self.edges.out_of(label.vertex), int(child[0])
+        way = self.edges.poses[label.vertex], edges.curves[edge], edges.lengths[edge], np.array(child), label.row
+        grid = p.scenario.time_step, p.goal.latest, p.goal.earliest, self.limits
+        driven, arrived = traverse(*way, *grid, p.world.packed, p.goal.arrays, self.out)
+        return (None if driven < 0 else self.out[:driven].copy()), arrived
+
+    def _waited(self, label: Label, steps: int) -> tuple[Array, bool]:
+        goal = self.problem.goal
+        poses = np.tile(np.append(label.pose, 0.0), (steps, 1))
+        soonest = max(goal.earliest - label.step, 1)
+        if soonest <= steps and goal.holds(*poses[0].tolist()):
+            return poses[:soonest], True
+        return poses, False
+
+    def _tree(self) -> Array:
+        dt = self.problem.scenario.time_step
+        rows = [(*self.labels[x.parent].pose[:2], *x.pose[:2], x.step * dt) for x in self.labels[1:]]
         return np.array(rows).reshape(-1, 5)
 
 
+class _Out(NamedTuple):
+    """Edges out of a vertex: targets, curves, lengths, whether they end in a goal pose.
+
+    And, from there to the goal, a lower bound of the distance and the way along the roadmap.
+    """
+
+    ends: np.ndarray
+    curves: Array
+    lengths: Array
+    final: np.ndarray
+    away: Array
+    road: Array
+
+
 class _Edges:
-    """The roadmap's edges, and those from the start and into the goal, which are worked out where a search gets to.
+    """The roadmap's edges, and those from the start and into the goal.
 
     Attributes:
         poses: (V + G + 1, 3) of the roadmap's vertices, poses in the goal, and the start.
-        goals: first and last + 1 of those in the goal; source: the start.
+        source: the start's number.
+        distance: (V + G + 1,) from there to the goal at least.
+        road: (V + G + 1,) way along edges to the goal [m]; where there is none a guess, longer than any.
+        connected: whether edges lead from the start to the goal.
     """
 
-    def __init__(self, roadmap: Roadmap, start: Array, goals: Array) -> None:
+    def __init__(self, problem: Problem, roadmap: Roadmap, goals: Array) -> None:
+        r, start, first = roadmap, np.array([problem.start_state[:3]]), len(roadmap.vertices)
         self.roadmap = roadmap
-        self.poses = np.concatenate([roadmap.vertices, goals, start])
-        self.source = len(self.poses) - 1
-        self.goals = (len(roadmap.vertices), self.source)
-        self._known: dict[int, tuple[np.ndarray, Array, Array]] = {}
-
-    def out_of(self, vertex: int) -> tuple[np.ndarray, Array, Array]:
-        """Targets (E,), curves (E, 6) and lengths (E,) of the edges out of a vertex."""
-        if vertex not in self._known:
-            self._known[vertex] = self._from_start() if vertex == self.source else self._from(vertex)
-        return self._known[vertex]
-
-    def _from_start(self) -> tuple[np.ndarray, Array, Array]:
-        r = self.roadmap
-        ends, curves, lengths = connect(self.poses[-1:], self.poses[:-1], r.radii, 2.0, r.longest, 10 * EDGES)
-        return np.ascontiguousarray(ends[:, 1]), curves, lengths
-
-    def _from(self, vertex: int) -> tuple[np.ndarray, Array, Array]:
-        r, (first, last) = self.roadmap, self.goals
-        own = slice(r.rows[vertex], r.rows[vertex + 1]) if vertex < first else slice(0)
-        ends, curves, lengths = connect(
-            self.poses[vertex : vertex + 1], self.poses[first:last], r.radii, 2.0, r.longest, 8
+        self.poses = np.concatenate([r.vertices, goals, start])
+        self.source = first + len(goals)
+        self.distance = problem.goal.box_distances(self.poses[:, :2])
+        scale = r.radii, r.shortest, r.longest
+        world = problem.world.packed
+        into, _, *last = connect(r.vertices, goals, *scale, 8, world)
+        out, _, *begun = connect(start, self.poses[: self.source], *scale, 10 * EDGES, world)
+        parts = zip(
+            (r.ends, r.curves, r.lengths),
+            (into + [0, first], *last),
+            (out + [self.source, 0], *begun),
+            strict=True,
         )
-        ends = np.concatenate([r.ends[own, 1], ends[:, 1] + first])
-        return ends, np.concatenate([r.curves[own], curves]), np.concatenate([r.lengths[own], lengths])
+        ends, self._curves, self._lengths = (np.concatenate(part) for part in parts)
+        order = np.argsort(ends[:, 0], kind="stable")
+        self._ends, self._curves, self._lengths = ends[order], self._curves[order], self._lengths[order]
+        self._rows = np.searchsorted(self._ends[:, 0], np.arange(self.source + 2))
+        road = self._along()
+        self.connected = bool(np.isfinite(road[self.source]))
+        known = road[np.isfinite(road)].max(initial=0.0)
+        self.road = np.where(np.isfinite(road), road, known + self.distance)
+        self._known: dict[int, _Out] = {}
+
+    def _along(self) -> Array:
+        """(V + G + 1,) shortest ways to a pose in the goal, infinite where there is none."""
+        size, first = self.source + 2, len(self.roadmap.vertices)
+        goals = np.arange(first, self.source)
+        # edges the other way, and from one more vertex to every goal pose
+        tails = np.concatenate([self._ends[:, 1], np.full(len(goals), size - 1)])
+        heads = np.concatenate([self._ends[:, 0], goals])
+        lengths = np.concatenate([self._lengths, np.full(len(goals), 1e-9)])
+        graph = csr_matrix((lengths, (tails, heads)), shape=(size, size))
+        ways: Array = dijkstra(graph, indices=np.array([size - 1]))[0, : size - 1]
+        return ways
+
+    def out_of(self, vertex: int) -> _Out:
+        """The edges out of a vertex."""
+        if vertex not in self._known:
+            own = slice(self._rows[vertex], self._rows[vertex + 1])
+            ends = np.ascontiguousarray(self._ends[own, 1])
+            final = (ends >= len(self.roadmap.vertices)) & (ends < self.source)
+            ways = self.distance[ends], self.road[ends]
+            self._known[vertex] = _Out(ends, self._curves[own], self._lengths[own], final, *ways)
+        return self._known[vertex]
 
 
 def _motion_validator(problem: Problem) -> RiskMotionValidator:
@@ -231,17 +355,17 @@ def _motion_validator(problem: Problem) -> RiskMotionValidator:
     )
 
 
-def _states(labels: list[Any], last: int) -> Array | None:
-    if last < 0:
-        return None
-    parts = []
-    while last >= 0:
-        parts.append(labels[last][6] if labels[last][5] >= 0 else labels[last][0][None])
-        last = labels[last][5]
-    return np.concatenate(parts[::-1])
+def states_to(labels: list[Label], last: int) -> Array:
+    """(T, 4) from the start to a label."""
+    parts: list[Array] = []
+    while labels[last].parent >= 0:
+        parts.append(labels[last].poses)
+        last = labels[last].parent
+    start = labels[last]
+    return np.concatenate([np.append(start.pose, start.speed)[None], *parts[::-1]])
 
 
-def _undominated(seen: dict[tuple[int, int, int], list[Array]], key: tuple[int, int, int], risk: Array) -> bool:
+def _undominated(seen: dict[tuple[int, ...], list[Array]], key: tuple[int, ...], risk: Array) -> bool:
     """Keep the label unless one there is nowhere riskier, or enough are kept already."""
     others = seen.setdefault(key, [])
     for other in others:

@@ -16,7 +16,7 @@ from ompl import util as ou
 from checkers import InputError, checker
 from checkers.archive import read_arrays
 from checkers.validate import FARTHEST, Array, as_array
-from riskplan.kernels.roadmap import connect
+from riskplan.kernels.roadmap import connect, rejoin
 from riskplan.ompl.sampling import LaneSampler
 from riskplan.ompl.validity import RiskStateValidityChecker
 from riskplan.scene import Scenario
@@ -24,16 +24,19 @@ from riskplan.vehicles import curve_limits
 from riskplan.world import StaticWorld
 
 EDGES = 16  # edges out of a vertex
+_STORED = ("vertices", "ends", "kinds", "radii", "longest")  # in a file
+_BLOCK = 64  # vertices connected before the clock is looked at
 MOST, _MOST_RADII = 20_000, 16  # in a file: edges are made anew, which takes time in the square of the vertices
 
 
 @dataclass(frozen=True, eq=False)
 class Roadmap:
-    """Poses and directed Dubins edges of a static world; agents do not enter, so it serves every prediction.
+    """Poses and directed edges of a static world, biarcs or Dubins curves; agents do not enter: it serves them all.
 
     Attributes:
         vertices: (V, 3) x, y, heading.
         ends: (E, 2) int source and target of the edges.
+        kinds: (E,) int, 0 for a biarc, k > 0 for a Dubins curve of radius k − 1.
         curves: (E, 6) segment lengths [m] and curvatures [1/m].
         lengths: (E,) [m].
         radii: turning radii tried for the edges, widest first [m].
@@ -42,21 +45,33 @@ class Roadmap:
 
     vertices: Array
     ends: np.ndarray
+    kinds: np.ndarray
     curves: Array
     lengths: Array
     radii: Array
     longest: float
 
     @classmethod
-    def of(cls, vertices: Array, radii: Array, longest: float) -> Roadmap:
-        """Connect the vertices."""
+    def of(cls, scenario: Scenario, vertices: Array, stop: Callable[[], bool] = lambda: False) -> Roadmap:
+        """Connect the vertices in the scenario's static world; those left when told to stop get no edges."""
+        radii, longest = edge_scale(scenario)
         if not len(vertices):
             vertices = np.zeros((0, 3))  # nothing is free, or no time was left
-        else:
-            vertices = as_array("vertices", vertices, ("V", 3))
-        radii = as_array("radii", radii, ("R",))
-        ends, curves, lengths = connect(vertices, vertices, radii, 2.0, longest, EDGES)
-        return cls(vertices, ends, curves, lengths, radii, longest)
+        vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+        parts = [(np.zeros((0, 2), np.int64), np.zeros(0, np.int64), np.zeros((0, 6)), np.zeros(0))]
+        scale = radii, _shortest(longest), longest, EDGES, scenario.world.packed
+        for first in range(0, len(vertices), _BLOCK):
+            if stop():
+                break
+            ends, *rest = connect(vertices[first : first + _BLOCK], vertices, *scale)
+            parts.append((ends + [first, 0], *rest))
+        ends, kinds, curves, lengths = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return cls(vertices, ends, kinds, curves, lengths, radii, longest)
+
+    @property
+    def shortest(self) -> float:
+        """Shortest edge [m]."""
+        return _shortest(self.longest)
 
     @cached_property
     def rows(self) -> np.ndarray:
@@ -67,12 +82,13 @@ class Roadmap:
     def build(cls, scenario: Scenario, size: int = 1000, seed: int = 0) -> Roadmap:
         """Sample `size` vertices in the scenario's static world and connect them."""
         sampler = Sampler(scenario, scenario.world, seed)
-        return cls.of(sampler.grow(size), *edge_scale(scenario))
+        return cls.of(scenario, sampler.grow(size))
 
     def save(self, path: str | Path) -> None:
-        """Write to an `.npz` (no pickle); edges follow from the vertices and are made anew on loading."""
+        """Write to an `.npz` (no pickle); curves follow from the vertices and are made anew on loading."""
+        arrays = {name: getattr(self, name) for name in _STORED}
         with open(path, "wb") as file:
-            np.savez(file, allow_pickle=False, vertices=self.vertices, radii=self.radii, longest=self.longest)
+            np.savez(file, allow_pickle=False, **arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Roadmap:
@@ -83,7 +99,7 @@ class Roadmap:
         """
         data = read_arrays(path, "roadmap")
         try:
-            for key in ("vertices", "radii", "longest"):
+            for key in _STORED:
                 if key not in data:
                     raise InputError(f"{key}: missing")
             vertices, radii = data["vertices"], as_array("radii", data["radii"], ("R",))
@@ -94,9 +110,31 @@ class Roadmap:
                 raise InputError(f"expected at most {MOST} vertices and {_MOST_RADII} radii")
             if np.shape(vertices) != (0, 3):
                 vertices = as_array("vertices", vertices, ("V", 3), largest=FARTHEST)
+            ends, kinds = _pairs(data["ends"], len(vertices)), _kinds(data["kinds"], len(data["ends"]), len(radii))
+            curves, lengths = rejoin(vertices, ends, kinds, radii)
+            if not (lengths <= 2.0 * longest).all():
+                raise InputError("ends: expected pairs of vertices that a curve joins")
         except (InputError, TypeError) as error:
             raise InputError(f"{path}: not a roadmap: {error}") from None
-        return cls.of(vertices, radii, longest)
+        return cls(vertices, ends, kinds, curves, lengths, radii, longest)
+
+
+def _pairs(ends: Any, count: int) -> np.ndarray:
+    """(E, 2) numbers of vertices, in order of the first."""
+    ends = np.asarray(ends)
+    if ends.ndim != 2 or ends.shape[1] != 2 or ends.dtype != np.int64 or len(ends) > MOST * EDGES:
+        raise InputError(f"ends: expected (E, 2) int64, got {ends.shape} {ends.dtype}")
+    if len(ends) and (ends.min() < 0 or ends.max() >= count or (np.diff(ends[:, 0]) < 0).any()):
+        raise InputError(f"ends: expected numbers of the {count} vertices, in order of the first")
+    return np.ascontiguousarray(ends)
+
+
+def _kinds(kinds: Any, count: int, radii: int) -> np.ndarray:
+    """(E,) kinds of edges."""
+    kinds = np.asarray(kinds)
+    if kinds.shape != (count,) or kinds.dtype != np.int64 or (count and not 0 <= kinds.min() <= kinds.max() <= radii):
+        raise InputError(f"kinds: expected ({count},) int64 in 0..{radii}, got {kinds.shape} {kinds.dtype}")
+    return np.ascontiguousarray(kinds)
 
 
 class Sampler:
@@ -169,3 +207,8 @@ def edge_scale(scenario: Scenario) -> tuple[Array, float]:
     widest = max(tightest, pace * pace / v.lateral)
     radii = [widest / 2**k for k in range(4) if widest / 2**k > tightest]
     return np.array([*radii, tightest]), max(2.0 * pace, 10.0)
+
+
+def _shortest(longest: float) -> float:
+    """Shortest edge [m]: for slow vehicles shorter ones."""
+    return min(2.0, 0.2 * longest)

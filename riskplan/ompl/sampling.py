@@ -60,8 +60,8 @@ class LaneSampler(ob.ValidStateSampler):
             return anywhere
         lane = self._lanes[np.minimum(np.searchsorted(self._cumulated, rng.random(count)), len(self._lanes) - 1)]
         along = rng.random(count) * lane[:, 4]
-        # half of the poses keep to the lane closely: in a narrow one no others are of use
-        loose = np.where(rng.random(count) < 0.5, 1.0, 0.2)
+        # a third of the poses lie on the lane, another keeps to it closely: in a narrow one no others are of use
+        loose = rng.choice([1.0, 0.2, 0.0], count)
         across = rng.standard_normal(count) * 0.6 * loose
         poses = np.column_stack(
             [

@@ -30,7 +30,7 @@ class Metric(NamedTuple):
 
 
 class CurveLimits(NamedTuple):
-    """Limits under which the vehicle can follow any Dubins curve at changing speed; in the order kernels read.
+    """Limits under which the vehicle can follow arcs and straights at changing speed; in the order kernels read.
 
     Attributes:
         acceleration, deceleration: along the curve [m/s²], both positive.
@@ -89,7 +89,7 @@ class Vehicle(ABC):
 
     @property
     def curves(self) -> CurveLimits | None:
-        """Limits for the Dubins curves of a roadmap; None for a vehicle that cannot follow them."""
+        """Limits for a roadmap's arcs and straights; None for a vehicle that cannot follow them."""
         return None
 
     @property
@@ -145,7 +145,7 @@ def curve_limits(vehicle: Vehicle) -> CurveLimits:
     """
     if vehicle.curves is None:
         raise InputError(
-            f"vehicle: a {type(vehicle).__name__} cannot follow the Dubins curves of a roadmap, whose curvature jumps; "
-            "expected a planner over controls, such as 'rrt'"
+            f"vehicle: a {type(vehicle).__name__} cannot follow a roadmap's arcs and straights, where the curvature "
+            "jumps; expected a planner over controls, such as 'rrt'"
         )
     return vehicle.curves

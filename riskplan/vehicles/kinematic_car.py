@@ -61,7 +61,7 @@ class KinematicCar(Vehicle):
 
     @property
     def curves(self) -> CurveLimits:
-        """All of its limits: it follows any Dubins curve."""
+        """All of its limits: it follows any arcs and straights."""
         return CurveLimits(
             self.max_acceleration,
             self.max_deceleration,

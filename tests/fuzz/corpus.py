@@ -166,7 +166,9 @@ def predictions() -> list[dict[str, np.ndarray]]:
 def roadmap() -> dict[str, np.ndarray]:
     """The arrays of a roadmap file."""
     vertices = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [5.0, 3.0, 0.5]])
-    return {"vertices": vertices, "radii": np.array([20.0, 5.0]), "longest": np.asarray(20.0)}
+    ends, kinds = np.array([[0, 1]]), np.array([1])
+    radii, longest = np.array([20.0, 5.0]), np.asarray(20.0)
+    return {"vertices": vertices, "ends": ends, "kinds": kinds, "radii": radii, "longest": longest}
 
 
 def npz(arrays: dict[str, Any]) -> bytes:
