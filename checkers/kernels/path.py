@@ -33,7 +33,7 @@ def place(work, first, shape_kind, shape, pose, mean1, mean2, factor, heading):
     d1, d2, _, _, _ = to_ego(pose[0], pose[1], cos, sin, mean1, mean2, 0.0, 0.0, 0.0)
     b11, b12 = cos * factor[0, 0] + sin * factor[1, 0], cos * factor[0, 1] + sin * factor[1, 1]
     b21, b22 = -sin * factor[0, 0] + cos * factor[1, 0], -sin * factor[0, 1] + cos * factor[1, 1]
-    row, out = work.rows[first], work.features[first]
+    row, out = work.rows[:, first], work.features[first]
     if shape_kind == BOXES:
         fill_octagon(row, shape[0], heading - pose[2], d1, d2, b11, b12, b21, b22)
         octagon_features(work.rows, first, shape[0], heading - pose[2], d1, d2, b11, b12, b21, b22, out)
@@ -50,8 +50,8 @@ def place(work, first, shape_kind, shape, pose, mean1, mean2, factor, heading):
         ellipse_features(row, out)
     else:
         for p in range(len(shape)):
-            fill_ellipse(work.rows[first + p], shape[p], d1, d2, b11, b12, b21, b22)
-            ellipse_features(work.rows[first + p], work.features[first + p])
+            fill_ellipse(work.rows[:, first + p], shape[p], d1, d2, b11, b12, b21, b22)
+            ellipse_features(work.rows[:, first + p], work.features[first + p])
 
 
 @nb.njit(cache=True, error_model="numpy")

@@ -5,17 +5,9 @@ import math
 import numba as nb
 import numpy as np
 
-from checkers.kernels.regions import OCTAGON, ellipse_chord, octagon_chord
+from checkers.kernels.regions import ENDLESS, INSIDE, OCTAGON, edge_at, ellipse_chord, octagon_chord
 
-# the Kronrod (1965) extension of the 3-node Gauss rule on [−1, 1], between two nodes of no weight that look at the ends
-NODES = np.array([0.9604912687080202, 0.7745966692414834, 0.4342437493468026])
-NODES = np.array([-0.9999, *-NODES, 0.0, *NODES[::-1], 0.9999])
-KRONROD = np.array([0.0, 0.1046562260264673, 0.2684880898683334, 0.4013974147759622])
-KRONROD = np.array([*KRONROD, 0.4509165386584741, *KRONROD[::-1]])
-# what a smooth integrand leaves over: Kronrod minus Gauss, and the odd null rule of the same norm (Laurie 1985),
-# without which the difference of the two rules is now and then small by accident
-EVEN = KRONROD - np.array([0.0, 0.0, 5 / 9, 0.0, 8 / 9, 0.0, 5 / 9, 0.0, 0.0])
-ODD = np.array([0.0, -0.198417263, 0.438915142, -0.34405598, 0.0, 0.34405598, -0.438915142, 0.198417263, 0.0])
+KEPT = 4  # spans whose ends are named
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -61,41 +53,55 @@ def _include(spans, ends, n, enter, leave, first, last):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def cast(kind, rows, active, count, ux, uy, spans, ends):
-    """Spans of the ray inside the union of the `active` sets; returns how many. Ends are 8 × set + edge."""
-    n = 0
-    for j in range(count):
-        i = active[j]
-        if kind == OCTAGON:
-            enter, leave, first, last = octagon_chord(rows, i, ux, uy)
-        else:
-            enter, leave = ellipse_chord(rows, i, ux, uy)
-            first, last = 0, 0
-        if enter < leave:
-            n = _include(spans, ends, n, enter, leave, 8 * i + first, 8 * i + last)
-    return n
+def chords(kind, rows, count, ux, uy, enter, leave):
+    """Fill enter (count,) and leave (count,) of every set, several at a time."""
+    if kind == OCTAGON:
+        for j in range(count):
+            enter[j], leave[j] = octagon_chord(rows, j, ux, uy)
+    else:
+        for j in range(count):
+            enter[j], leave[j] = ellipse_chord(rows, j, ux, uy)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def expose(kind, rows, active, count, ux, uy, pieces, weight, spans, ends, exposure):
-    """Add to `exposure` (T,) the weighted mass of each step's part of the ray that no earlier step covers."""
+def cast(kind, work, count, ux, uy):
+    """Find the spans of the ray inside the union of the sets, and the sets at their ends; returns how many."""
+    enter, leave, spans, ends = work.enter, work.leave, work.spans, work.ends
+    chords(kind, work.rows, count, ux, uy, enter, leave)
     n = 0
     for j in range(count):
-        i = active[j]
-        if kind == OCTAGON:
-            enter, leave, _, _ = octagon_chord(rows, i, ux, uy)
-        else:
-            enter, leave = ellipse_chord(rows, i, ux, uy)
-        if not enter < leave:
+        if enter[j] < leave[j]:
+            n = _include(spans, ends, n, enter[j], leave[j], j, j)
+    return n
+
+
+@nb.njit(inline="always", error_model="numpy")
+def name_of(kind, rows, j, ux, uy, radius, leaving):
+    """Name of the end of a span: 8 × set (+ edge of an octagon)."""
+    if radius == 0.0:
+        return INSIDE
+    if radius > 1e140:
+        return ENDLESS
+    return 8 * j + (edge_at(rows, j, ux, uy, radius, leaving) if kind == OCTAGON else 0)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def expose(kind, work, count, ux, uy, weight, fresh):
+    """Add to `fresh` (T,) the weighted mass of each step's part of the ray that no earlier step covers."""
+    enter, leave, spans, ends = work.enter, work.leave, work.spans, work.ends
+    chords(kind, work.rows, count, ux, uy, enter, leave)
+    n = 0
+    for j in range(count):
+        if not enter[j] < leave[j]:
             continue
-        cursor, new = enter, 0.0
+        cursor, new = enter[j], 0.0
         for k in range(n):
-            if spans[k, 0] >= leave:
+            if spans[k, 0] >= leave[j]:
                 break
             if spans[k, 0] > cursor:
                 new += mass(cursor, spans[k, 0])
             cursor = max(cursor, spans[k, 1])
-        if cursor < leave:
-            new += mass(cursor, leave)
-        exposure[i // pieces] += weight * new
-        n = _include(spans, ends, n, enter, leave, 0, 0)
+        if cursor < leave[j]:
+            new += mass(cursor, leave[j])
+        fresh[work.step[j]] += weight * new
+        n = _include(spans, ends, n, enter[j], leave[j], 0, 0)

@@ -3,7 +3,8 @@
 A step's set is {ξ : μ + B ξ collides}, convex, and one row of 12 numbers:
     ellipse   m1, m2, a11, a12, a21, a22, |m|² − 1      {ξ : |m + A ξ| ≤ 1}
     octagon   p, q1, q2 of four strips                  {ξ : |p + q·ξ| ≤ 1 for all four}; two rectangles that touch
-B need not be invertible: the sets are then strips, everything, or nothing.
+B need not be invertible: the sets are then strips, everything, or nothing. Rows lie in columns, rows[number, set], so
+that one ray meets many sets by vector instructions; hence no branches in the chords.
 """
 
 import math
@@ -19,67 +20,82 @@ FEATURES = 8
 FULL_CIRCLE = 2.0 * math.pi
 
 
+INSIDE, ENDLESS = -1, -2  # ends of a span that no set has: at radius 0, at no radius
+
+
 @nb.njit(inline="always", error_model="numpy")
 def ellipse_chord(rows, j, ux, uy):
     """(enter, leave) of the ray r (ux, uy), r ≥ 0; enter > leave if it misses.
 
     Roots of |m + r A u|² = 1 without cancellation; the discriminant is |Au|² − (m × Au)².
     """
-    v1 = rows[j, 2] * ux + rows[j, 3] * uy
-    v2 = rows[j, 4] * ux + rows[j, 5] * uy
-    a = v1 * v1 + v2 * v2
-    b = rows[j, 0] * v1 + rows[j, 1] * v2
-    c = rows[j, 6]
-    k = rows[j, 0] * v2 - rows[j, 1] * v1
+    v1 = rows[2, j] * ux + rows[3, j] * uy
+    v2 = rows[4, j] * ux + rows[5, j] * uy
+    a = v1 * v1 + v2 * v2 + 1e-300
+    b = rows[0, j] * v1 + rows[1, j] * v2
+    c = rows[6, j]
+    k = rows[0, j] * v2 - rows[1, j] * v1
     d = a - k * k
-    if c > 0.0:
-        if b >= 0.0 or d <= 0.0:
-            return 1.0, 0.0
-        q = math.sqrt(d) - b
-        return c / q, q / a
-    if a == 0.0:
-        return 0.0, np.inf
-    root = math.sqrt(max(d, 0.0))
-    return 0.0, (-c / (b + root) if b > 0.0 else (root - b) / a)
+    far = math.sqrt(d if d > 0.0 else 0.0) + abs(b)
+    near = c / far
+    leave = -near if b > 0.0 else far / a
+    missed = (c > 0.0) & (d <= 0.0)
+    return (near if near > 0.0 else 0.0), (-1.0 if missed else leave)
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _strip_chord(rows, i, j, ux, uy):
+    """Radii, not ordered by sign, at which a line through the origin enters and leaves strip i of octagon j."""
+    q = rows[i + 1, j] * ux + rows[i + 2, j] * uy
+    inverse = 1.0 / (q if abs(q) > 1e-300 else 1e-300)
+    middle, half = -rows[i, j] * inverse, abs(inverse)
+    return middle - half, middle + half
 
 
 @nb.njit(inline="always", error_model="numpy")
 def octagon_chord(rows, j, ux, uy):
-    """(enter, leave, entered edge, left edge); edge 2 i + 1 is where strip i is +1, edge 2 i where it is −1."""
-    enter, leave, first, last = 0.0, np.inf, -1, -1
+    """(enter, leave) of the ray r (ux, uy), r ≥ 0; enter > leave if it misses."""
+    enter, leave = _strip_chord(rows, 0, j, ux, uy)
+    enter = enter if enter > 0.0 else 0.0
+    for i in (3, 6, 9):
+        low, high = _strip_chord(rows, i, j, ux, uy)
+        enter = low if low > enter else enter
+        leave = high if high < leave else leave
+    return enter, leave
+
+
+@nb.njit(inline="always", error_model="numpy")
+def edge_at(rows, j, ux, uy, radius, leaving):
+    """Edge of octagon j at which the ray enters or leaves it: 2 i + 1 where strip i is +1, 2 i where it is −1."""
+    edge, best = 0, np.inf
     for i in range(4):
-        q = rows[j, 3 * i + 1] * ux + rows[j, 3 * i + 2] * uy
-        inverse = 1.0 / q
-        middle, half = -rows[j, 3 * i] * inverse, abs(inverse)
-        if q == 0.0:
-            if abs(rows[j, 3 * i]) > 1.0:
-                return 1.0, 0.0, -1, -1
-            continue
-        if middle - half > enter:
-            enter, first = middle - half, 2 * i + (q < 0.0)
-        if middle + half < leave:
-            leave, last = middle + half, 2 * i + (q > 0.0)
-    return enter, leave, first, last
+        low, high = _strip_chord(rows, 3 * i, j, ux, uy)
+        positive = rows[3 * i + 1, j] * ux + rows[3 * i + 2, j] * uy > 0.0
+        off = abs((high if leaving else low) - radius)
+        if off < best:
+            best, edge = off, 2 * i + (positive if leaving else not positive)
+    return edge
 
 
 @nb.njit(inline="always", error_model="numpy")
 def chord(kind, rows, j, ux, uy):
     """(enter, leave) for either kind."""
     if kind == OCTAGON:
-        enter, leave, _, _ = octagon_chord(rows, j, ux, uy)
-        return enter, leave
+        return octagon_chord(rows, j, ux, uy)
     return ellipse_chord(rows, j, ux, uy)
 
 
 @nb.njit(inline="always", error_model="numpy")
 def end_radius(kind, rows, end, leaving, ux, uy):
     """Radius at which the ray enters or leaves what `end` names: 8 × set (+ edge of an octagon); NaN if it misses."""
+    if end < 0:
+        return 0.0 if end == INSIDE else np.inf
     j = end >> 3
     if kind == OCTAGON:
         edge = end & 7
         level = 1.0 if edge & 1 else -1.0
         i = 3 * (edge >> 1)
-        return (level - rows[j, i]) / (rows[j, i + 1] * ux + rows[j, i + 2] * uy)
+        return (level - rows[i, j]) / (rows[i + 1, j] * ux + rows[i + 2, j] * uy)
     enter, leave = ellipse_chord(rows, j, ux, uy)
     if enter > leave:
         return np.nan
@@ -212,8 +228,8 @@ def _around(out):
 @nb.njit(cache=True, error_model="numpy")
 def octagon_features(rows, j, sizes, turn, d1, d2, b11, b12, b21, b22, out):
     """Fill `out` (FEATURES,) for an octagon, with the arguments of `fill_octagon`."""
-    out[TIP] = _tip(rows[j, 1], rows[j, 2], rows[j, 4], rows[j, 5], rows[j, 0], rows[j, 3])
-    if max(abs(rows[j, 0]), abs(rows[j, 3]), abs(rows[j, 6]), abs(rows[j, 9])) <= 1.0:
+    out[TIP] = _tip(rows[1, j], rows[2, j], rows[4, j], rows[5, j], rows[0, j], rows[3, j])
+    if max(abs(rows[0, j]), abs(rows[3, j]), abs(rows[6, j]), abs(rows[9, j])) <= 1.0:
         _around(out)
         return
     c, s = math.cos(turn), math.sin(turn)
@@ -239,16 +255,17 @@ def _nearest_of_octagon(rows, j, out):
     u1, u2 = math.cos(out[LOW] + 0.5 * out[WIDTH]), math.sin(out[LOW] + 0.5 * out[WIDTH])
     out[NEAR], out[DISTANCE], out[SHAKE] = out[LOW] + 0.5 * out[WIDTH], np.inf, 0.0
     for _ in range(12):
-        enter, leave, edge, _ = octagon_chord(rows, j, u1, u2)
-        if edge < 0 or enter > leave:
+        enter, leave = octagon_chord(rows, j, u1, u2)
+        if enter > leave:
             return
+        edge = edge_at(rows, j, u1, u2, enter, False)
         strip = 3 * (edge >> 1)
-        sign = 1.0 if rows[j, strip] < 0.0 else -1.0
-        foot1, foot2 = sign * rows[j, strip + 1], sign * rows[j, strip + 2]
+        sign = 1.0 if rows[strip, j] < 0.0 else -1.0
+        foot1, foot2 = sign * rows[strip + 1, j], sign * rows[strip + 2, j]
         slope = math.hypot(foot1, foot2)
         foot1, foot2 = foot1 / slope, foot2 / slope
         out[NEAR], out[DISTANCE] = math.atan2(u2, u1), enter
-        out[SHAKE] = enter * (abs(rows[j, strip]) + enter * slope + 1.0) / slope
+        out[SHAKE] = enter * (abs(rows[strip, j]) + enter * slope + 1.0) / slope
         side = u1 * foot2 - u2 * foot1
         if abs(side) < 1e-6:
             return

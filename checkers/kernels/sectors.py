@@ -25,13 +25,11 @@ LEFT, RIGHT = 1, 2  # which end of a sector is a tangent ray
 
 
 @nb.njit(cache=True, error_model="numpy")
-def cut_circle(kind, work, count, farthest, fine):
-    """Fill the sectors between breakpoints and the sets in each; return how many. `farthest` is a squared radius."""
+def cut_circle(kind, work, count, fine):
+    """Fill the sectors between breakpoints that any set reaches into; return how many."""
     n, features, events = 0, work.features, work.events
     for i in range(count):
         f = features[i]
-        if not f[DISTANCE] * f[DISTANCE] < farthest:
-            continue
         if f[WIDTH] < FULL_CIRCLE:
             for angle, radius, flag in ((f[LOW], f[LOW_RADIUS], LEFT), (f[LOW] + f[WIDTH], f[HIGH_RADIUS], RIGHT)):
                 if not _hidden(kind, work, count, i, angle, radius):
@@ -52,7 +50,7 @@ def cut_circle(kind, work, count, farthest, fine):
     for k in range(n):
         end = events[k + 1, 0] if k + 1 < n else events[0, 0] + FULL_CIRCLE
         width = end - events[k, 0]
-        if width < 1e-15 or not _gather(work, count, used, events[k, 0], width):
+        if width < 1e-15 or not _reached(work.features, count, events[k, 0], width):
             continue
         flag = int(events[k, 1]) & LEFT | int(events[(k + 1) % n, 1]) & RIGHT
         work.sectors[used, 0], work.sectors[used, 1], work.sectors[used, 2] = events[k, 0], width, flag
@@ -85,7 +83,7 @@ def _frame_peak(kind, work, i, n):
 @nb.njit(cache=True, error_model="numpy")
 def _corners(work, count, i, n):
     """Add the visible corners of octagon i: between them the rim is straight, so no kink can hide between nodes."""
-    row = work.rows[i]
+    row = work.rows[:, i]
     for k in range(16):
         a, b = 3 * (k & 1), 6 + 3 * (k >> 1 & 1)
         u, v = (1.0 if k & 4 else -1.0) - row[a], (1.0 if k & 8 else -1.0) - row[b]
@@ -129,16 +127,11 @@ def _sort_from_first(events, n):
 
 
 @nb.njit(inline="always", error_model="numpy")
-def _gather(work, count, sector, start, width):
-    """List the sets whose cone reaches into the sector."""
-    n = 0
+def _reached(features, count, start, width):
+    """Whether any set's cone reaches into the sector."""
     for i in range(count):
-        f = work.features[i]
-        if f[WIDTH] < FULL_CIRCLE:
-            ahead = (f[LOW] - start) % FULL_CIRCLE
-            if ahead >= width - 1e-15 and ahead + f[WIDTH] <= FULL_CIRCLE + 1e-15:
-                continue
-        work.active[sector, n] = i
-        n += 1
-    work.reach[sector] = n
-    return n > 0
+        f = features[i]
+        ahead = (f[LOW] - start) % FULL_CIRCLE
+        if f[WIDTH] >= FULL_CIRCLE or ahead < width - 1e-15 or ahead + f[WIDTH] > FULL_CIRCLE + 1e-15:
+            return True
+    return False

@@ -3,8 +3,9 @@
 A ray from the origin meets a convex set in one interval, so the union's mass is
     P = (1/2π) ∫ Σ_spans (e^(−l²/2) − e^(−h²/2)) dφ,
 with all terms positive. The integrand is analytic between breakpoints: rays tangent to the union (square-root ends,
-removed by a substitution), and kinks where another set or edge takes over the union's rim (located by the names of the
-span ends at neighbouring nodes). Globally adaptive Gauss–Kronrod (3, 7), worst panel first.
+removed by a substitution), and kinks where another set or edge takes over the union's rim. Panels are looked at by a
+few rays: where all find the same ends of spans, Gauss–Kronrod (3, 7) of these alone; else Simpson's rule, until its
+error is small or the kinks between the rays are found. Globally adaptive, the panels that err most first.
 """
 
 import math
@@ -13,16 +14,30 @@ from collections import namedtuple
 import numba as nb
 import numpy as np
 
-from checkers.kernels.rays import EVEN, KRONROD, NODES, ODD, cast, expose, mass
+from checkers.kernels.rays import KEPT, cast, expose, mass, name_of
 from checkers.kernels.regions import DISTANCE, FEATURES, FULL_CIRCLE, ROW, SHAKE, end_radius
 from checkers.kernels.sectors import LEFT, RIGHT, cut_circle
 
-_KEPT = 3  # spans whose ends are remembered at every node
-_WIDEST = 0.8  # rad, of a first panel
+_WIDEST = 0.4  # rad, of a first panel
+_NARROW = 0.1  # rad, of a panel that three rays suffice to know
+_EDGE = 5e-5  # of a sector's width: where its end rays are, beside tangents and corners
 
-# rows, features: the sets. spans, ends: of one ray. events: angle, flag. sectors: between events: start, width, flag,
-# active: the sets that reach into a sector. panels: sector, s₀, s₁, value, error, smooth. names: span ends per node.
-Work = namedtuple("Work", "rows features spans ends events sectors active reach panels names cuts")
+# the Kronrod (1965) extension of the 3-node Gauss rule on [−1, 1]
+_NODES = np.array([0.9604912687080202, 0.7745966692414834, 0.4342437493468026])
+_NODES = np.array([*-_NODES, 0.0, *_NODES[::-1]])
+_KRONROD = np.array([0.1046562260264673, 0.2684880898683334, 0.4013974147759622])
+_KRONROD = np.array([*_KRONROD, 0.4509165386584741, *_KRONROD[::-1]])
+# what a smooth integrand leaves over: Kronrod minus Gauss, and the odd null rule of the same norm (Laurie 1985),
+# without which the difference of the two rules is now and then small by accident
+_EVEN = _KRONROD - np.array([0.0, 5 / 9, 0.0, 8 / 9, 0.0, 5 / 9, 0.0])
+_ODD = np.array([-0.198417263, 0.438915142, -0.34405598, 0.0, 0.34405598, -0.438915142, 0.198417263])
+
+# rows, features, step: the sets. enter, leave, spans, ends: of one ray. events: angle, flag. sectors: between events:
+# start, width, flag. panels: sector, s₀, s₁, value, error, smooth; corners: their five rays, −1 where there is none.
+# values, names: of each ray: integrand, number of spans and names of their ends. used: number of rays.
+Work = namedtuple(
+    "Work", "rows features step enter leave spans ends events sectors panels corners values names used cuts"
+)
 
 
 @nb.njit(cache=True)
@@ -31,16 +46,20 @@ def workspace(count):
     events = 12 * count + 42
     panels = 3 * events + 400
     return Work(
-        np.empty((count, ROW)),
+        np.empty((ROW, count)),
         np.empty((count, FEATURES)),
+        np.empty(count, np.int64),
+        np.empty(count),
+        np.empty(count),
         np.empty((count + 1, 2)),
         np.empty((count + 1, 2), np.int64),
         np.empty((events, 2)),
         np.empty((events, 3)),
-        np.empty((events, count), np.int64),
-        np.empty(events, np.int64),
         np.empty((panels, 6)),
-        np.empty((panels, 9, 1 + 2 * _KEPT), np.int64),
+        np.empty((panels, 5), np.int64),
+        np.empty(5 * panels + 16),
+        np.empty((5 * panels + 16, 1 + 2 * KEPT), np.int64),
+        np.zeros(1, np.int64),
         np.empty(64),
     )
 
@@ -60,24 +79,38 @@ def sweep(kind, work, count, pieces, tolerance, exposure):
     if nearest > 37.3:  # P < count × Φ(−37.3) = 9e-305: the integrand would be of denormal numbers
         exposure[:] = 0.0
         return 0.0, (count * 1e-304 if nearest < np.inf else 0.0)
+    count = _keep_near(work, count, pieces, nearest * nearest + 2.0 * math.log(1.0 / tolerance) + 20.0)
     fine = tolerance < 1e-6
-    sectors = cut_circle(kind, work, count, nearest * nearest + 2.0 * math.log(1.0 / tolerance) + 20.0, fine)
-    n = 0
-    for k in range(sectors):
-        parts = int(math.ceil(work.sectors[k, 1] / _WIDEST))
-        for i in range(parts):
-            _measure(kind, work, n, k, i / parts, (i + 1) / parts, fine)
-            n += 1
+    work.used[0] = 0
+    n = _first_panels(kind, work, count, cut_circle(kind, work, count, fine))
     total, error = _sums(work, n)
-    while error > 0.5 * tolerance * total and n < len(work.panels) - len(work.cuts):
+    room = len(work.panels) - len(work.cuts)
+    while error > 0.5 * tolerance * total and n < room:
         share = 0.5 * tolerance * total / n
         for k in range(n):
-            if work.panels[k, 4] > share and n < len(work.panels) - len(work.cuts):
-                n = _refine(kind, work, k, n, fine)
+            if work.panels[k, 4] > share and n < room and work.used[0] < len(work.values) - 6 * len(work.cuts):
+                n = _refine(kind, work, count, k, n, fine)
         total, error = _sums(work, n)
+        if work.used[0] >= len(work.values) - 6 * len(work.cuts):
+            break
     if len(exposure):
-        _expose_all(kind, work, n, pieces, exposure)
+        _expose_all(kind, work, count, n, exposure)
     return min(total, 1.0), max(error, tolerance * total) + total * (1e-13 + 4e-16 * _shake(work, count, nearest))
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _keep_near(work, count, pieces, farthest):
+    """Move the sets of which a point is nearer than √farthest to the front; return how many."""
+    n = 0
+    for i in range(count):
+        distance = work.features[i, DISTANCE]
+        if distance * distance < farthest:
+            work.step[n] = i // pieces
+            if n < i:
+                work.rows[:, n] = work.rows[:, i]
+                work.features[n] = work.features[i]
+            n += 1
+    return n
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -113,64 +146,133 @@ def _direction(sector, s):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _measure(kind, work, k, sector, low, high, ends_too):
-    """Make panel k of [low, high] in a sector: value, error, names of the span ends at each node.
-
-    `ends_too`: look for kinks between the panel's ends and the nodes next to them as well.
-    """
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    fine, even, odd, smooth = 0.0, 0.0, 0.0, True
-    active, reach = work.active[sector], work.reach[sector]
-    names = work.names[k]
-    first = 0 if ends_too else 1
-    before, jump = 0.0, 0.0
-    for j in range(first, 9 - first):
-        angle, slope = _direction(work.sectors[sector], middle + half * NODES[j])
-        spans, ends = work.spans, work.ends
-        n = cast(kind, work.rows, active, reach, math.cos(angle), math.sin(angle), spans, ends)
-        value = 0.0
-        for i in range(n):
-            value += mass(spans[i, 0], spans[i, 1])
-        names[j, 0] = n
-        for i in range(_KEPT):
-            names[j, 1 + 2 * i], names[j, 2 + 2 * i] = (ends[i, 0], ends[i, 1]) if i < n else (-1, -1)
-        for i in range(1 + 2 * _KEPT):
-            smooth = smooth and names[j, i] == names[first, i]
-        if j in {1, 8}:
-            jump = max(jump, abs(value - before) * slope)
-        before = value
-        fine += KRONROD[j] * slope * value
-        even += EVEN[j] * slope * value
-        odd += ODD[j] * slope * value
-    change = math.hypot(even, odd)
-    if smooth and fine > 0.0:  # the null rules have half the order
-        change *= min(1.0, 5.0 * math.sqrt(change / fine))
-    elif ends_too:
-        change += 0.04 * jump
-    panel, scale = work.panels[k], half / FULL_CIRCLE
-    panel[0], panel[1], panel[2] = sector, low, high
-    panel[3], panel[4], panel[5] = fine * scale, change * scale, smooth
+def _first_panels(kind, work, count, sectors):
+    """Panels of every sector, none wider than _WIDEST; return how many."""
+    n = 0
+    for k in range(sectors):
+        parts = int(math.ceil(work.sectors[k, 1] / _WIDEST))
+        left = _ray(kind, work, count, k, _EDGE)
+        for i in range(parts):
+            right = _ray(kind, work, count, k, min((i + 1) / parts, 1.0 - _EDGE))
+            _measure(kind, work, count, n, k, i / parts, (i + 1) / parts, left, -1, right)
+            n, left = n + 1, right
+    return n
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _refine(kind, work, k, n, fine):
-    """Replace panel k by its parts, between kinks if any are found, else halves; return the new number of panels."""
+def _ray(kind, work, count, sector, s):
+    """Look along one ray: its integrand over s and the names of its spans' ends; returns its number."""
+    angle, slope = _direction(work.sectors[sector], s)
+    ux, uy = math.cos(angle), math.sin(angle)
+    n, r, spans, ends = cast(kind, work, count, ux, uy), work.used[0], work.spans, work.ends
+    names, value = work.names[r], 0.0
+    for i in range(n):
+        value += mass(spans[i, 0], spans[i, 1])
+    names[0] = n
+    for i in range(min(n, KEPT)):
+        names[1 + 2 * i] = name_of(kind, work.rows, ends[i, 0], ux, uy, spans[i, 0], False)
+        names[2 + 2 * i] = name_of(kind, work.rows, ends[i, 1], ux, uy, spans[i, 1], True)
+    work.values[r] = slope * value
+    work.used[0] = r + 1
+    return r
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _alike(names, a, b):
+    """Whether rays a and b find the same ends."""
+    for i in range(1 + 2 * min(names[a, 0], KEPT)):
+        if names[a, i] != names[b, i]:
+            return False
+    return True
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _measure(kind, work, count, k, sector, low, high, left, centre, right):
+    """Make panel k of [low, high] in a sector, whose rays at the ends, and in the middle if not −1, are known."""
+    corners, names, panel = work.corners[k], work.names, work.panels[k]
+    if centre < 0:
+        centre = _ray(kind, work, count, sector, 0.5 * (low + high))
+    corners[0], corners[1], corners[2], corners[3], corners[4] = left, -1, centre, -1, right
+    panel[0], panel[1], panel[2] = sector, low, high
+    smooth = _alike(names, left, centre) and _alike(names, centre, right)
+    wide = _direction(work.sectors[sector], high)[0] - _direction(work.sectors[sector], low)[0] > _NARROW
+    if wide or not smooth:
+        corners[1] = _ray(kind, work, count, sector, 0.75 * low + 0.25 * high)
+        corners[3] = _ray(kind, work, count, sector, 0.25 * low + 0.75 * high)
+        smooth = smooth and _alike(names, centre, corners[1]) and _alike(names, centre, corners[3])
+    panel[5] = smooth
+    scale = (high - low) / FULL_CIRCLE
+    if smooth:
+        value, error = _smooth(kind, work, count, sector, low, high, centre)
+    else:
+        f = work.values
+        ends, middle, quarters = f[left] + f[right], f[centre], f[corners[1]] + f[corners[3]]
+        value = (ends + 2.0 * middle + 4.0 * quarters) / 12.0
+        error = abs(value - (ends + 4.0 * middle) / 6.0)
+    panel[3], panel[4] = value * scale, error * scale
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _smooth(kind, work, count, sector, low, high, ray):
+    """(mean, its error) of the integrand over [low, high], where all rays find the ends that `ray` does."""
+    middle, half, names = 0.5 * (low + high), 0.5 * (high - low), work.names[ray]
+    value, even, odd = 0.0, 0.0, 0.0
+    for j in range(7):
+        angle, slope = _direction(work.sectors[sector], middle + half * _NODES[j])
+        ux, uy = math.cos(angle), math.sin(angle)
+        f = 0.0
+        if names[0] <= KEPT:
+            for i in range(names[0]):
+                enter = end_radius(kind, work.rows, names[1 + 2 * i], False, ux, uy)
+                leave = end_radius(kind, work.rows, names[2 + 2 * i], True, ux, uy)
+                if enter < leave:
+                    f += mass(enter, leave)
+        else:
+            for i in range(cast(kind, work, count, ux, uy)):
+                f += mass(work.spans[i, 0], work.spans[i, 1])
+        value += 0.5 * _KRONROD[j] * slope * f
+        even += 0.5 * _EVEN[j] * slope * f
+        odd += 0.5 * _ODD[j] * slope * f
+    change = math.hypot(even, odd)
+    if value > 0.0:  # the null rules have half the order
+        change *= min(1.0, 5.0 * math.sqrt(change / value))
+    return value, change
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _refine(kind, work, count, k, n, fine):
+    """Replace panel k by its parts, between kinks if they are looked for and found, else halves; return the new n."""
     sector, low, high = int(work.panels[k, 0]), work.panels[k, 1], work.panels[k, 2]
-    cuts = 0
-    if not work.panels[k, 5]:
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        for j in range(0 if fine else 1, 8 if fine else 7):
-            cuts = _kinks(kind, work, k, j, sector, middle + half * NODES[j], middle + half * NODES[j + 1], cuts)
+    left, before, centre, behind, right = work.corners[k]
+    cuts, beside = 0, 1e-6 * (high - low)
+    if fine and not work.panels[k, 5]:
+        width = 0.25 * (high - low)
+        for j in range(4):
+            a, b = work.corners[k, j], work.corners[k, j + 1]
+            cuts = _kinks(kind, work, count, a, b, sector, low + j * width, low + (j + 1) * width, cuts)
+        cuts = _apart_by(work.cuts, cuts, low, high, 2.0 * beside)
     if cuts == 0:
-        work.cuts[0], cuts = 0.5 * (low + high), 1
-    left = low
-    for j in range(cuts + 1):
-        right = work.cuts[j] if j < cuts else high
-        if right > left or j == cuts:
-            _measure(kind, work, k if j == cuts else n, sector, left, right, fine)
-            n += j < cuts
-            left = right
+        middle = 0.5 * (low + high)
+        _measure(kind, work, count, n, sector, low, middle, left, before, centre)
+        _measure(kind, work, count, k, sector, middle, high, centre, behind, right)
+        return n + 1
+    start = low
+    for j in range(cuts):
+        cut = work.cuts[j]
+        _measure(kind, work, count, n, sector, start, cut, left, -1, _ray(kind, work, count, sector, cut - beside))
+        start, left, n = cut, _ray(kind, work, count, sector, cut + beside), n + 1
+    _measure(kind, work, count, k, sector, start, high, left, -1, right)
     return n
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _apart_by(cuts, count, low, high, least):
+    """Drop the cuts that are too near to their left neighbour or to `high`; return how many are left."""
+    kept = 0
+    for j in range(count):
+        if cuts[j] - low > least and high - cuts[j] > least:
+            cuts[kept], low, kept = cuts[j], cuts[j], kept + 1
+    return kept
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -179,24 +281,24 @@ def _difference(a, b):
 
     Where a gap closes, the ends are the two sides of the gap.
     """
-    for i in range(min(a[0], b[0], _KEPT)):
+    for i in range(min(a[0], b[0], KEPT)):
         if a[1 + 2 * i] != b[1 + 2 * i]:
             return (a[1 + 2 * i], False, b[1 + 2 * i], False, i) if a[0] == b[0] else (-1, False, -1, False, -1)
         if a[2 + 2 * i] != b[2 + 2 * i]:
             if a[0] == b[0]:
                 return a[2 + 2 * i], True, b[2 + 2 * i], True, i
             more = a if a[0] > b[0] else b
-            return (more[2 + 2 * i], True, more[3 + 2 * i], False, -1) if i + 1 < _KEPT else (-1, False, -1, False, -1)
+            return (more[2 + 2 * i], True, more[3 + 2 * i], False, -1) if i + 1 < KEPT else (-1, False, -1, False, -1)
     return -1, False, -1, False, -1
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _kinks(kind, work, k, j, sector, left, right, found):
-    """Append to `cuts` the places between nodes j and j + 1 where the rim passes from one set or edge to another.
+def _kinks(kind, work, count, ray, other, sector, left, right, found):
+    """Append to `cuts` the places between two rays where the rim passes from one set or edge to another.
 
     At the crossing of two curves a third may be outermost: then it lies between them, and both its crossings are cuts.
     """
-    a, a_leaving, last, leaving, place = _difference(work.names[k, j], work.names[k, j + 1])
+    a, a_leaving, last, leaving, place = _difference(work.names[ray], work.names[other])
     while a >= 0 and found < len(work.cuts):
         b, x = last, right
         for _ in range(8):
@@ -206,10 +308,12 @@ def _kinks(kind, work, k, j, sector, left, right, found):
             if place < 0:
                 break
             angle, _ = _direction(work.sectors[sector], x)
-            active, reach = work.active[sector], work.reach[sector]
-            cos, sin = math.cos(angle), math.sin(angle)
-            n = cast(kind, work.rows, active, reach, cos, sin, work.spans, work.ends)
-            outer = work.ends[place, int(leaving)] if place < n else -1
+            ux, uy = math.cos(angle), math.sin(angle)
+            if not place < cast(kind, work, count, ux, uy):
+                break
+            at = int(leaving)
+            radius = work.spans[place, at]
+            outer = name_of(kind, work.rows, work.ends[place, at], ux, uy, radius, leaving)
             if outer < 0 or outer in {a, b}:
                 break
             b = outer
@@ -230,7 +334,7 @@ def _crossing(kind, rows, sector, a, a_leaving, b, b_leaving, low, high):
     width, x = high - low, 0.5 * (low + high)
     for _ in range(20):
         before, x = x, (low * f_high - high * f_low) / (f_high - f_low)
-        if abs(x - before) < 1e-9 * width:
+        if abs(x - before) < 1e-7 * width:
             break
         f = _apart(kind, rows, sector, a, a_leaving, b, b_leaving, x)
         if f * f_high < 0.0:
@@ -251,15 +355,16 @@ def _apart(kind, rows, sector, a, a_leaving, b, b_leaving, s):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _expose_all(kind, work, n, pieces, exposure):
-    """Exposure of every step, with the nodes and weights of the final panels, so that it sums to the total."""
+def _expose_all(kind, work, count, n, exposure):
+    """Exposure of every step, by two rays in each of the final panels and scaled so that it sums to the total."""
     exposure[:] = 0.0
+    fresh = np.zeros(len(exposure))
     for k in range(n):
         sector, low, high = int(work.panels[k, 0]), work.panels[k, 1], work.panels[k, 2]
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        for j in range(1, 8):
-            angle, slope = _direction(work.sectors[sector], middle + half * NODES[j])
-            weight = KRONROD[j] * slope * half / FULL_CIRCLE
-            active, reach = work.active[sector], work.reach[sector]
-            ux, uy = math.cos(angle), math.sin(angle)
-            expose(kind, work.rows, active, reach, ux, uy, pieces, weight, work.spans, work.ends, exposure)
+        fresh[:] = 0.0
+        for node in (0.21132486540518713, 0.7886751345948129):
+            angle, slope = _direction(work.sectors[sector], low + (high - low) * node)
+            expose(kind, work, count, math.cos(angle), math.sin(angle), slope, fresh)
+        total = fresh.sum()
+        if total > 0.0:
+            exposure += fresh * (work.panels[k, 3] / total)
