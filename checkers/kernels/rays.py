@@ -3,7 +3,6 @@
 import math
 
 import numba as nb
-import numpy as np
 
 from checkers.kernels.regions import ENDLESS, INSIDE, OCTAGON, edge_at, ellipse_chord, octagon_chord
 
