@@ -33,10 +33,11 @@ def place(work, first, shape_kind, shape, pose, mean1, mean2, factor, heading):
     d1, d2, _, _, _ = to_ego(pose[0], pose[1], cos, sin, mean1, mean2, 0.0, 0.0, 0.0)
     b11, b12 = cos * factor[0, 0] + sin * factor[1, 0], cos * factor[0, 1] + sin * factor[1, 1]
     b21, b22 = -sin * factor[0, 0] + cos * factor[1, 0], -sin * factor[0, 1] + cos * factor[1, 1]
-    row, out = work.rows[:, first], work.features[first]
+    rows, row, out = work.rows, work.rows[:, first], work.features[first]
     if shape_kind == BOXES:
-        fill_octagon(row, shape[0], heading - pose[2], d1, d2, b11, b12, b21, b22)
-        octagon_features(work.rows, first, shape[0], heading - pose[2], d1, d2, b11, b12, b21, b22, out)
+        c, s = math.cos(heading - pose[2]), math.sin(heading - pose[2])
+        fill_octagon(row, shape[0], c, s, d1, d2, b11, b12, b21, b22)
+        octagon_features(rows, first, shape[0], c, s, d1, d2, b11, b12, b21, b22, out)
     elif shape_kind == ALIGNED:
         c, s, axes = math.cos(heading - pose[2]), math.sin(heading - pose[2]), shape[0]
         p11 = axes[0] ** 2 + (c * axes[2]) ** 2 + (s * axes[3]) ** 2
@@ -50,8 +51,8 @@ def place(work, first, shape_kind, shape, pose, mean1, mean2, factor, heading):
         ellipse_features(row, out)
     else:
         for p in range(len(shape)):
-            fill_ellipse(work.rows[:, first + p], shape[p], d1, d2, b11, b12, b21, b22)
-            ellipse_features(work.rows[:, first + p], work.features[first + p])
+            fill_ellipse(rows[:, first + p], shape[p], d1, d2, b11, b12, b21, b22)
+            ellipse_features(rows[:, first + p], work.features[first + p])
 
 
 @nb.njit(cache=True, error_model="numpy")

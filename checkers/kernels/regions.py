@@ -14,18 +14,17 @@ import numpy as np
 
 ELLIPSE, OCTAGON = 0, 1
 ROW = 12
-# what `features` knows of a set: its cone of rays, radii of the tangent points, nearest point, far ends, sensitivity
-LOW, WIDTH, LOW_RADIUS, HIGH_RADIUS, NEAR, DISTANCE, SHAKE, TIP = range(8)
-FEATURES = 8
+# what `features` knows of a set: unit vectors and radii of the tangent points, clockwise end first (no radius if every
+# ray meets the set); unit vector and radius of the nearest point, angle of a far end or NaN, sensitivity to rounding
+LOW_X, LOW_Y, LOW_RADIUS, HIGH_X, HIGH_Y, HIGH_RADIUS, NEAR_X, NEAR_Y, DISTANCE, TIP, SHAKE = range(11)
+FEATURES = 11
 FULL_CIRCLE = 2.0 * math.pi
-
-
 INSIDE, ENDLESS = -1, -2  # ends of a span that no set has: at radius 0, at no radius
 
 
 @nb.njit(inline="always", error_model="numpy")
 def ellipse_chord(rows, j, ux, uy):
-    """(enter, leave) of the ray r (ux, uy), r ≥ 0; enter > leave if it misses.
+    """(enter, leave) of the ray r (ux, uy), r ≥ 0; (inf, −1) if it misses.
 
     Roots of |m + r A u|² = 1 without cancellation; the discriminant is |Au|² − (m × Au)².
     """
@@ -39,8 +38,9 @@ def ellipse_chord(rows, j, ux, uy):
     far = math.sqrt(d if d > 0.0 else 0.0) + abs(b)
     near = c / far
     leave = -near if b > 0.0 else far / a
-    missed = (c > 0.0) & (d <= 0.0)
-    return (near if near > 0.0 else 0.0), (-1.0 if missed else leave)
+    near = near if near > 0.0 else 0.0
+    missed = ((c > 0.0) & (d <= 0.0)) | (leave <= near)
+    return (np.inf if missed else near), (-1.0 if missed else leave)
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -54,26 +54,30 @@ def _strip_chord(rows, i, j, ux, uy):
 
 @nb.njit(inline="always", error_model="numpy")
 def octagon_chord(rows, j, ux, uy):
-    """(enter, leave) of the ray r (ux, uy), r ≥ 0; enter > leave if it misses."""
+    """(enter, leave) of the ray r (ux, uy), r ≥ 0; (inf, −1) if it misses."""
     enter, leave = _strip_chord(rows, 0, j, ux, uy)
     enter = enter if enter > 0.0 else 0.0
     for i in (3, 6, 9):
         low, high = _strip_chord(rows, i, j, ux, uy)
         enter = low if low > enter else enter
         leave = high if high < leave else leave
-    return enter, leave
+    missed = leave <= enter
+    return (np.inf if missed else enter), (-1.0 if missed else leave)
 
 
 @nb.njit(inline="always", error_model="numpy")
 def edge_at(rows, j, ux, uy, radius, leaving):
-    """Edge of octagon j at which the ray enters or leaves it: 2 i + 1 where strip i is +1, 2 i where it is −1."""
-    edge, best = 0, np.inf
+    """Edge of octagon j at which the ray enters or leaves it: 2 i + 1 where strip i is +1, 2 i where it is −1.
+
+    The one whose own radius differs least from `radius`; compared as products, since divisions are dear.
+    """
+    edge, off, per = 0, np.inf, 1.0
     for i in range(4):
-        low, high = _strip_chord(rows, 3 * i, j, ux, uy)
-        positive = rows[3 * i + 1, j] * ux + rows[3 * i + 2, j] * uy > 0.0
-        off = abs((high if leaving else low) - radius)
-        if off < best:
-            best, edge = off, 2 * i + (positive if leaving else not positive)
+        slope = rows[3 * i + 1, j] * ux + rows[3 * i + 2, j] * uy
+        positive = (slope > 0.0) == leaving
+        away = abs(rows[3 * i, j] + slope * radius - (1.0 if positive else -1.0))
+        if away * per < off * abs(slope):
+            edge, off, per = 2 * i + positive, away, abs(slope)
     return edge
 
 
@@ -115,12 +119,11 @@ def fill_ellipse(row, piece, d1, d2, b11, b12, b21, b22):
 
 
 @nb.njit(inline="always", error_model="numpy")
-def fill_octagon(row, sizes, turn, d1, d2, b11, b12, b21, b22):
-    """Row of box ⊕ box: sizes = half length and width of ego and agent, `turn` the agent's heading in the ego frame.
+def fill_octagon(row, sizes, c, s, d1, d2, b11, b12, b21, b22):
+    """Row of box ⊕ box: sizes = half length and width of ego and agent, (c, s) the agent's course in the ego frame.
 
     Two rectangles meet exactly if their projections overlap along the four edge normals (separating axes).
     """
-    c, s = math.cos(turn), math.sin(turn)
     ac, as_ = abs(c), abs(s)
     ego_l, ego_w, length, width = sizes[0], sizes[1], sizes[2], sizes[3]
     _strip(row, 0, 1.0, 0.0, ego_l + length * ac + width * as_, d1, d2, b11, b12, b21, b22)
@@ -131,9 +134,24 @@ def fill_octagon(row, sizes, turn, d1, d2, b11, b12, b21, b22):
 
 @nb.njit(inline="always", error_model="numpy")
 def _strip(row, i, n1, n2, reach, d1, d2, b11, b12, b21, b22):
-    row[i] = (n1 * d1 + n2 * d2) / reach
-    row[i + 1] = (n1 * b11 + n2 * b21) / reach
-    row[i + 2] = (n1 * b12 + n2 * b22) / reach
+    per = 1.0 / reach
+    row[i] = (n1 * d1 + n2 * d2) * per
+    row[i + 1] = (n1 * b11 + n2 * b21) * per
+    row[i + 2] = (n1 * b12 + n2 * b22) * per
+
+
+@nb.njit(inline="always", error_model="numpy")
+def inside(kind, rows, j, x, y):
+    """Whether a point lies inside set j, by more than rounding; never if it is at infinity."""
+    if kind == OCTAGON:
+        for i in (0, 3, 6, 9):
+            p = rows[i, j]
+            if not abs(p + rows[i + 1, j] * x + rows[i + 2, j] * y) < 1.0 - 1e-12 * (1.0 + abs(p)):
+                return False
+        return True
+    v1 = rows[0, j] + rows[2, j] * x + rows[3, j] * y
+    v2 = rows[1, j] + rows[4, j] * x + rows[5, j] * y
+    return v1 * v1 + v2 * v2 < 1.0 - 2e-12 * (1.0 + abs(rows[0, j]) + abs(rows[1, j]))
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -147,10 +165,16 @@ def _cone(out, a11, a12, a21, a22, low1, low2, high1, high2):
     x2, y2 = a22 * high1 - a12 * high2, a11 * high2 - a21 * high1
     if det < 0.0:
         x1, y1, x2, y2 = -x2, -y2, -x1, -y1
-    out[LOW] = math.atan2(y1, x1)
-    out[WIDTH] = math.atan2(abs(x1 * y2 - y1 * x2), x1 * x2 + y1 * y2)
-    out[LOW_RADIUS] = math.hypot(x1, y1) / abs(det) if det != 0.0 else np.inf
-    out[HIGH_RADIUS] = math.hypot(x2, y2) / abs(det) if det != 0.0 else np.inf
+    size1, size2, det = math.sqrt(x1 * x1 + y1 * y1), math.sqrt(x2 * x2 + y2 * y2), abs(det)
+    _aim(out, LOW_X, x1, y1, size1, size1 / det if det > 0.0 else np.inf)
+    _aim(out, HIGH_X, x2, y2, size2, size2 / det if det > 0.0 else np.inf)
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _aim(out, at, x, y, size, radius):
+    """Write the unit vector along (x, y), of the given size, and a radius."""
+    per = 1.0 / size if size > 0.0 else 0.0
+    out[at], out[at + 1], out[at + 2] = x * per, y * per, radius
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -173,7 +197,7 @@ def _tip(a11, a12, a21, a22, m1, m2):
     return math.atan2(y + math.sin(angle), x + math.cos(angle))
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(inline="always", error_model="numpy")
 def ellipse_features(row, out):
     """Fill `out` (FEATURES,) for an ellipse."""
     m1, m2, c = row[0], row[1], row[6]
@@ -184,55 +208,48 @@ def ellipse_features(row, out):
         return
     # tangent points of the unit disc from m: −m √c ∓ m⊥ over |m|², times √c
     root, size = math.sqrt(c), math.sqrt(c) / (c + 1.0)
-    _cone(
-        out,
-        a11,
-        a12,
-        a21,
-        a22,
-        size * (-m1 * root - m2),
-        size * (-m2 * root + m1),
-        size * (-m1 * root + m2),
-        size * (-m2 * root - m1),
-    )
+    low1, low2 = size * (-m1 * root - m2), size * (-m2 * root + m1)
+    high1, high2 = size * (-m1 * root + m2), size * (-m2 * root - m1)
+    _cone(out, a11, a12, a21, a22, low1, low2, high1, high2)
     s11, s12, s22 = a11 * a11 + a12 * a12, a11 * a21 + a12 * a22, a21 * a21 + a22 * a22
     # nearest point: ξ = −ν Aᵀ y, y = (1 + ν S)⁻¹ m on the rim; Newton is monotone as in gaussian.nearest
     nu, y1, y2 = 0.0, m1, m2
     for _ in range(40):
         t11, t12, t22 = 1.0 + nu * s11, nu * s12, 1.0 + nu * s22
-        det = t11 * t22 - t12 * t12
-        y1, y2 = (t22 * m1 - t12 * m2) / det, (t11 * m2 - t12 * m1) / det
+        per = 1.0 / (t11 * t22 - t12 * t12)
+        y1, y2 = (t22 * m1 - t12 * m2) * per, (t11 * m2 - t12 * m1) * per
         f = y1 * y1 + y2 * y2
         z1, z2 = s11 * y1 + s12 * y2, s12 * y1 + s22 * y2
-        slope = y1 * (t22 * z1 - t12 * z2) / det + y2 * (t11 * z2 - t12 * z1) / det
+        slope = (y1 * (t22 * z1 - t12 * z2) + y2 * (t11 * z2 - t12 * z1)) * per
         step = f * (math.sqrt(f) - 1.0) / slope
         if not step > 0.0 or nu > 1e100:
             break
         nu += step
-        if step <= 1e-6 * nu:
+        if step <= 1e-4 * nu:
             break
     g1, g2 = a11 * y1 + a21 * y2, a12 * y1 + a22 * y2
-    slope = math.hypot(g1, g2)
-    distance = nu * slope if out[WIDTH] > 0.0 and nu <= 1e100 else np.inf
-    out[NEAR], out[DISTANCE] = math.atan2(-g2, -g1), distance
+    slope = math.sqrt(g1 * g1 + g2 * g2)
+    cross = out[LOW_X] * out[HIGH_Y] - out[LOW_Y] * out[HIGH_X]
+    met = cross != 0.0 or out[LOW_X] * out[HIGH_X] + out[LOW_Y] * out[HIGH_Y] < 0.0
+    distance = nu * slope if met and nu <= 1e100 else np.inf
+    _aim(out, NEAR_X, -g1, -g2, slope, distance)
     out[SHAKE] = distance * (math.sqrt(c + 1.0) + distance * math.sqrt(s11 + s22) + 1.0) / slope
 
 
 @nb.njit(inline="always", error_model="numpy")
 def _around(out):
     """The origin is inside: every ray meets the set at once."""
-    out[LOW], out[WIDTH], out[LOW_RADIUS], out[HIGH_RADIUS] = 0.0, FULL_CIRCLE, np.inf, np.inf
-    out[NEAR], out[DISTANCE], out[SHAKE] = np.nan, 0.0, 0.0
+    out[LOW_RADIUS], out[HIGH_RADIUS] = np.nan, np.nan
+    out[DISTANCE], out[SHAKE] = 0.0, 0.0
 
 
-@nb.njit(cache=True, error_model="numpy")
-def octagon_features(rows, j, sizes, turn, d1, d2, b11, b12, b21, b22, out):
+@nb.njit(inline="always", error_model="numpy")
+def octagon_features(rows, j, sizes, c, s, d1, d2, b11, b12, b21, b22, out):
     """Fill `out` (FEATURES,) for an octagon, with the arguments of `fill_octagon`."""
     out[TIP] = _tip(rows[1, j], rows[2, j], rows[4, j], rows[5, j], rows[0, j], rows[3, j])
     if max(abs(rows[0, j]), abs(rows[3, j]), abs(rows[6, j]), abs(rows[9, j])) <= 1.0:
         _around(out)
         return
-    c, s = math.cos(turn), math.sin(turn)
     low1, low2, high1, high2 = -d1, -d2, -d1, -d2
     for i in range(16):  # the corners of the sum are among the sums of corners
         x = sizes[0] * (1.0 if i & 1 else -1.0) - d1
@@ -249,33 +266,37 @@ def octagon_features(rows, j, sizes, turn, d1, d2, b11, b12, b21, b22, out):
 
 @nb.njit(inline="always", error_model="numpy")
 def _nearest_of_octagon(rows, j, out):
-    """Bisect the cone by the side on which the foot of the entered edge lies, jumping to that foot where it can."""
-    low1, low2 = math.cos(out[LOW]), math.sin(out[LOW])
-    high1, high2 = math.cos(out[LOW] + out[WIDTH]), math.sin(out[LOW] + out[WIDTH])
-    u1, u2 = math.cos(out[LOW] + 0.5 * out[WIDTH]), math.sin(out[LOW] + 0.5 * out[WIDTH])
-    out[NEAR], out[DISTANCE], out[SHAKE] = out[LOW] + 0.5 * out[WIDTH], np.inf, 0.0
-    for _ in range(12):
-        enter, leave = octagon_chord(rows, j, u1, u2)
-        if enter > leave:
-            return
-        edge = edge_at(rows, j, u1, u2, enter, False)
-        strip = 3 * (edge >> 1)
-        sign = 1.0 if rows[strip, j] < 0.0 else -1.0
-        foot1, foot2 = sign * rows[strip + 1, j], sign * rows[strip + 2, j]
-        slope = math.hypot(foot1, foot2)
-        foot1, foot2 = foot1 / slope, foot2 / slope
-        out[NEAR], out[DISTANCE] = math.atan2(u2, u1), enter
-        out[SHAKE] = enter * (abs(rows[strip, j]) + enter * slope + 1.0) / slope
-        side = u1 * foot2 - u2 * foot1
-        if abs(side) < 1e-6:
-            return
-        if side > 0.0:
-            low1, low2 = u1, u2
+    """The foot of an edge that faces the origin if it is on the octagon, else the nearest corner between two such."""
+    best = np.inf
+    _aim(out, NEAR_X, 0.0, 0.0, 0.0, np.inf)
+    out[SHAKE] = 0.0
+    for k in range(10):  # four feet; six corners
+        i = 3 * k if k < 4 else (0, 0, 0, 3, 3, 6)[k - 4]
+        o = i if k < 4 else (3, 6, 9, 6, 9, 9)[k - 4]
+        p, q1, q2 = rows[i, j], rows[i + 1, j], rows[i + 2, j]
+        r, s1, s2 = rows[o, j], rows[o + 1, j], rows[o + 2, j]
+        if abs(p) <= 1.0 or abs(r) <= 1.0:
+            continue
+        u, v = (1.0 if p > 0.0 else -1.0) - p, (1.0 if r > 0.0 else -1.0) - r
+        if k < 4:
+            per = u / (q1 * q1 + q2 * q2)
+            x, y = q1 * per, q2 * per
         else:
-            high1, high2 = u1, u2
-        if low1 * foot2 - low2 * foot1 > 0.0 and foot1 * high2 - foot2 * high1 > 0.0:
-            u1, u2 = foot1, foot2
-        else:
-            u1, u2 = low1 + high1, low2 + high2
-            size = math.hypot(u1, u2)
-            u1, u2 = u1 / size, u2 / size
+            per = 1.0 / (q1 * s2 - q2 * s1)
+            x, y = (u * s2 - v * q2) * per, (v * q1 - u * s1) * per
+        if x * x + y * y < best and _on(rows, j, x, y):
+            best = x * x + y * y
+            distance, slope = math.sqrt(best), math.sqrt(q1 * q1 + q2 * q2)
+            _aim(out, NEAR_X, x, y, distance, distance)
+            out[SHAKE] = distance * (abs(p) + distance * slope + 1.0) / slope
+            if k < 4:
+                return
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _on(rows, j, x, y):
+    """Whether a point is on octagon j, up to rounding."""
+    for i in (0, 3, 6, 9):
+        if not abs(rows[i, j] + rows[i + 1, j] * x + rows[i + 2, j] * y) <= 1.0 + 1e-9 * (1.0 + abs(rows[i, j])):
+            return False
+    return True
