@@ -18,6 +18,7 @@ RAY, PANEL = 2 + 2 * KEPT, 11
 VALUE, SPANS, NAMES = range(3)  # of a ray
 SECTOR, LOW, HIGH, MASS, ERROR, STATE, CORNERS = range(7)  # of a panel
 KINKED, LIKELY_SMOOTH, DONE = range(3)  # its rays find different ends; the same ones; and it was integrated by them
+_SQRT7 = math.sqrt(7.0)
 _NARROW = 0.1  # rad, of a panel that three rays suffice to know
 
 # the Kronrod (1965) extension of the 3-node Gauss rule on [−1, 1]
@@ -31,7 +32,7 @@ _EVEN = _KRONROD - np.array([0.0, 5 / 9, 0.0, 8 / 9, 0.0, 5 / 9, 0.0])
 _ODD = np.array([-0.198417263, 0.438915142, -0.34405598, 0.0, 0.34405598, -0.438915142, 0.198417263])
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def direction(start, width, flag, s):
     """(angle, dangle/ds) at s in [0, 1]: quadratic at a tangent ray, where the integrand grows like a square root."""
     if flag == LEFT:
@@ -56,7 +57,7 @@ def look(kind, rows, spans, ends, count, rays, r, angle, slope):
         rays[r, NAMES + 1 + 2 * i] = name_of(kind, rows, ends[1, i], ux, uy, spans[UNTIL, i], True)
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _alike(rays, a, b):
     """Whether rays a and b find the same ends."""
     alike = rays[a, SPANS] == rays[b, SPANS]
@@ -90,9 +91,17 @@ def measure(kind, rows, spans, ends, count, rays, used, panel, sector, bounds, l
         state, (value, error) = DONE, _smooth(kind, rows, spans, ends, count, rays, sector, bounds, centre)
     else:
         state = LIKELY_SMOOTH if smooth else KINKED
-        outer, middle = rays[left, VALUE] + rays[right, VALUE], rays[centre, VALUE]
-        value = (outer + 2.0 * middle + 4.0 * (rays[before, VALUE] + rays[behind, VALUE])) / 12.0
-        error = abs(value - (outer + 4.0 * middle) / 6.0)
+        f0, f1, f2, f3, f4 = (
+            rays[left, VALUE],
+            rays[before, VALUE],
+            rays[centre, VALUE],
+            rays[behind, VALUE],
+            rays[right, VALUE],
+        )
+        value = (f0 + 4.0 * f1 + 2.0 * f2 + 4.0 * f3 + f4) / 12.0
+        # its difference from the coarser rule, and the odd null rule of the same norm: one of them may vanish at a kink
+        even, odd = f0 - 4.0 * f1 + 6.0 * f2 - 4.0 * f3 + f4, _SQRT7 * (f4 - 2.0 * f3 + 2.0 * f1 - f0)
+        error = math.sqrt(even * even + odd * odd) / 24.0
     scale = (high - low) / FULL_CIRCLE
     panel[LOW], panel[HIGH], panel[MASS], panel[ERROR], panel[STATE] = low, high, value * scale, error * scale, state
     panel[CORNERS], panel[CORNERS + 1], panel[CORNERS + 2] = left, before, centre
@@ -137,7 +146,7 @@ def _smooth(kind, rows, spans, ends, count, rays, sector, bounds, ray):
     return value, change
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _difference(a, b):
     """First place where span ends carry different names: (end, leaving) in each, and the place; −1 if unclear.
 
@@ -211,7 +220,7 @@ def _crossing(kind, rows, sector, a, a_leaving, b, b_leaving, low, high):
     return x
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _apart(kind, rows, sector, a, a_leaving, b, b_leaving, s):
     angle, _ = direction(sector[0], sector[1], sector[2], s)
     ux, uy = math.cos(angle), math.sin(angle)

@@ -20,7 +20,7 @@ from checkers.kernels.whiten import to_ego
 FIXED, BOXES, ALIGNED = 0, 1, 2
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def kind_of(shape_kind):
     """What the shape's sets are in the plane of ξ."""
     return OCTAGON if shape_kind == BOXES else ELLIPSE

@@ -11,7 +11,7 @@ KEPT = 4  # spans whose ends are named
 ENTER, LEAVE, FROM, UNTIL = range(4)  # rows of `spans`: of each set, of each span of the union
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def mass(enter, leave):
     """e^(−enter²/2) − e^(−leave²/2) without cancellation: the share of a ray's N(0, I) between two radii."""
     less = 0.5 * (leave - enter) * (leave + enter)
@@ -46,13 +46,13 @@ def _include(spans, ends, n, enter, leave, first, last):
     return n - gone
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _move(spans, ends, source, target):
     spans[FROM, target], spans[UNTIL, target] = spans[FROM, source], spans[UNTIL, source]
     ends[0, target], ends[1, target] = ends[0, source], ends[1, source]
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _chords(kind, rows, spans, count, ux, uy):
     """Fill where the ray enters and leaves every set, several at a time."""
     if kind == OCTAGON:
@@ -93,7 +93,7 @@ def cast(kind, rows, spans, ends, count, ux, uy):
     return found
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def name_of(kind, rows, j, ux, uy, radius, leaving):
     """Name of the end of a span: 8 × set (+ edge of an octagon)."""
     if radius == 0.0:

@@ -22,7 +22,7 @@ FULL_CIRCLE = 2.0 * math.pi
 INSIDE, ENDLESS = -1, -2  # ends of a span that no set has: at radius 0, at no radius
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def ellipse_chord(rows, j, ux, uy):
     """(enter, leave) of the ray r (ux, uy), r ≥ 0; (inf, −1) if it misses.
 
@@ -43,7 +43,7 @@ def ellipse_chord(rows, j, ux, uy):
     return (np.inf if missed else near), (-1.0 if missed else leave)
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _strip_chord(rows, i, j, ux, uy):
     """Radii, not ordered by sign, at which a line through the origin enters and leaves strip i of octagon j."""
     q = rows[i + 1, j] * ux + rows[i + 2, j] * uy
@@ -52,7 +52,7 @@ def _strip_chord(rows, i, j, ux, uy):
     return middle - half, middle + half
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def octagon_chord(rows, j, ux, uy):
     """(enter, leave) of the ray r (ux, uy), r ≥ 0; (inf, −1) if it misses."""
     enter, leave = _strip_chord(rows, 0, j, ux, uy)
@@ -65,7 +65,7 @@ def octagon_chord(rows, j, ux, uy):
     return (np.inf if missed else enter), (-1.0 if missed else leave)
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def edge_at(rows, j, ux, uy, radius, leaving):
     """Edge of octagon j at which the ray enters or leaves it: 2 i + 1 where strip i is +1, 2 i where it is −1.
 
@@ -81,7 +81,7 @@ def edge_at(rows, j, ux, uy, radius, leaving):
     return edge
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def chord(kind, rows, j, ux, uy):
     """(enter, leave) for either kind."""
     if kind == OCTAGON:
@@ -89,7 +89,7 @@ def chord(kind, rows, j, ux, uy):
     return ellipse_chord(rows, j, ux, uy)
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def end_radius(kind, rows, end, leaving, ux, uy):
     """Radius at which the ray enters or leaves what `end` names: 8 × set (+ edge of an octagon); NaN if it misses."""
     if end < 0:
@@ -106,7 +106,7 @@ def end_radius(kind, rows, end, leaving, ux, uy):
     return leave if leaving else enter
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def fill_ellipse(row, piece, d1, d2, b11, b12, b21, b22):
     """Row of one ellipsoid piece (see `whiten.pack_pieces`) for the mean (d1, d2) and factor B in the ego frame."""
     a, b, c = piece[2], piece[3], piece[4]
@@ -118,7 +118,7 @@ def fill_ellipse(row, piece, d1, d2, b11, b12, b21, b22):
     row[6] = m1 * m1 + m2 * m2 - 1.0
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def fill_octagon(row, sizes, c, s, d1, d2, b11, b12, b21, b22):
     """Row of box ⊕ box: sizes = half length and width of ego and agent, (c, s) the agent's course in the ego frame.
 
@@ -132,7 +132,7 @@ def fill_octagon(row, sizes, c, s, d1, d2, b11, b12, b21, b22):
     _strip(row, 9, -s, c, width + ego_l * as_ + ego_w * ac, d1, d2, b11, b12, b21, b22)
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _strip(row, i, n1, n2, reach, d1, d2, b11, b12, b21, b22):
     per = 1.0 / reach
     row[i] = (n1 * d1 + n2 * d2) * per
@@ -140,7 +140,7 @@ def _strip(row, i, n1, n2, reach, d1, d2, b11, b12, b21, b22):
     row[i + 2] = (n1 * b12 + n2 * b22) * per
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def inside(kind, rows, j, x, y):
     """Whether a point lies inside set j, by more than rounding; never if it is at infinity."""
     if kind == OCTAGON:
@@ -154,7 +154,7 @@ def inside(kind, rows, j, x, y):
     return v1 * v1 + v2 * v2 < 1.0 - 2e-12 * (1.0 + abs(rows[0, j]) + abs(rows[1, j]))
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _cone(out, a11, a12, a21, a22, low1, low2, high1, high2):
     """Cone of the rays that meet a set, from the vectors mean → tangent point, counter-clockwise, in the map's image.
 
@@ -170,14 +170,14 @@ def _cone(out, a11, a12, a21, a22, low1, low2, high1, high2):
     _aim(out, HIGH_X, x2, y2, size2, size2 / det if det > 0.0 else np.inf)
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _aim(out, at, x, y, size, radius):
     """Write the unit vector along (x, y), of the given size, and a radius."""
     per = 1.0 / size if size > 0.0 else 0.0
     out[at], out[at + 1], out[at + 2] = x * per, y * per, radius
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _tip(a11, a12, a21, a22, m1, m2):
     """Direction of a far end of a long thin set, or NaN: centre −A⁻¹m plus the long half-axis (the other is opposite).
 
@@ -197,7 +197,7 @@ def _tip(a11, a12, a21, a22, m1, m2):
     return math.atan2(y + math.sin(angle), x + math.cos(angle))
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def ellipse_features(row, out):
     """Fill `out` (FEATURES,) for an ellipse."""
     m1, m2, c = row[0], row[1], row[6]
@@ -236,14 +236,14 @@ def ellipse_features(row, out):
     out[SHAKE] = distance * (math.sqrt(c + 1.0) + distance * math.sqrt(s11 + s22) + 1.0) / slope
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _around(out):
     """The origin is inside: every ray meets the set at once."""
     out[LOW_RADIUS], out[HIGH_RADIUS] = np.nan, np.nan
     out[DISTANCE], out[SHAKE] = 0.0, 0.0
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def octagon_features(rows, j, sizes, c, s, d1, d2, b11, b12, b21, b22, out):
     """Fill `out` (FEATURES,) for an octagon, with the arguments of `fill_octagon`."""
     out[TIP] = _tip(rows[1, j], rows[2, j], rows[4, j], rows[5, j], rows[0, j], rows[3, j])
@@ -264,7 +264,7 @@ def octagon_features(rows, j, sizes, c, s, d1, d2, b11, b12, b21, b22, out):
     _nearest_of_octagon(rows, j, out)
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _nearest_of_octagon(rows, j, out):
     """The foot of an edge that faces the origin if it is on the octagon, else the nearest corner between two such."""
     best = np.inf
@@ -293,7 +293,7 @@ def _nearest_of_octagon(rows, j, out):
                 return
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _on(rows, j, x, y):
     """Whether a point is on octagon j, up to rounding."""
     for i in (0, 3, 6, 9):

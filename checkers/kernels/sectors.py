@@ -61,7 +61,7 @@ def cut_circle(kind, rows, features, count, events, sectors, fine):
     return used
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _tangent(kind, rows, count, i, x, y, radius, flag, events, n):
     """Add the ray along (x, y) that is tangent to set i at a radius, unless another set covers that point."""
     if not _hidden(kind, rows, count, i, x * radius, y * radius):
@@ -70,7 +70,7 @@ def _tangent(kind, rows, count, i, x, y, radius, flag, events, n):
     return n
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _frame_peak(kind, rows, i, f, events, n):
     """Add events around the nearest point of set i, geometrically closer until the exponent rises by 2 only."""
     x, y = f[NEAR_X], f[NEAR_Y]
@@ -110,7 +110,7 @@ def _corners(rows, count, i, events, n):
     return n
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _hidden(kind, rows, count, i, x, y):
     """Whether a set other than i covers this point; neighbours in time are the likeliest."""
     for step in range(1, count):
@@ -121,7 +121,7 @@ def _hidden(kind, rows, count, i, x, y):
     return False
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _sort_from_first(events, n):
     """Order by angle in the turn that begins at the first event."""
     start = events[0, 0]
@@ -134,7 +134,7 @@ def _sort_from_first(events, n):
         events[j, 0], events[j, 1] = angle, flag
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _reached(kind, rows, count, angle):
     """Whether the ray meets any set: between events all rays do or none, as the ends of cones are events."""
     ux, uy = math.cos(angle), math.sin(angle)

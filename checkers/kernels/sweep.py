@@ -101,7 +101,7 @@ def sweep(kind, work, count, pieces, tolerance, exposure):
     return min(total, 1.0), max(error, tolerance * total) + total * (1e-13 + 4e-16 * shake)
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _keep_near(rows, features, step, count, pieces, farthest):
     """Move the sets of which a point is nearer than √farthest to the front; return how many."""
     n = 0
@@ -116,7 +116,7 @@ def _keep_near(rows, features, step, count, pieces, farthest):
     return n
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _sums(panels, n):
     total, error = 0.0, 0.0
     for k in range(n):
@@ -124,7 +124,7 @@ def _sums(panels, n):
     return total, error
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _shake(features, count, nearest):
     """How strongly rounding of rows and angles moves the integrand, over the sets that matter."""
     shake = 0.0
@@ -158,7 +158,7 @@ def _first_panels(kind, rows, spans, ends, count, rays, panels, sectors):
 
 @nb.njit(cache=True, error_model="numpy")
 def _refine(kind, rows, spans, ends, count, rays, used, panels, k, n, sectors, fine, cuts):
-    """Integrate panel k by its ends if it looks smooth, or replace it by its parts: between kinks if found, else halves.
+    """Integrate panel k by its ends if it looks smooth, or replace it by its parts: between kinks, if found, or halves.
 
     Returns how many panels and rays there are then.
     """
@@ -198,7 +198,7 @@ def _refine(kind, rows, spans, ends, count, rays, used, panels, k, n, sectors, f
     return n, used
 
 
-@nb.njit(inline="always", error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _apart_by(cuts, count, low, high, least):
     """Drop the cuts that are too near to their left neighbour or to `high`; return how many are left."""
     kept = 0
