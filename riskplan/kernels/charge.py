@@ -6,6 +6,7 @@ import numba as nb
 import numpy as np
 
 from checkers.kernels.abi import ROOM, call_kernel
+from checkers.kernels.gaussian import half_space
 from checkers.kernels.whiten import to_disc, to_ego, whiten_moments
 
 # columns of the agent rows; central moments follow
@@ -14,28 +15,24 @@ MEAN_X, MEAN_Y, C11, C12, C22, DET, WEIGHT, CULL, REACH, MOMENTS = range(10)
 
 # a piece bounded by less than this share of what is charged already is charged its bound: in a search, and in a verdict
 _MINOR, _ROUNDING = 3e-3, 1e-14
+_EXPONENTS = 1076  # of numbers from the smallest, 2^−1074, to 1
 
 
 @nb.njit(cache=True, error_model="numpy")
 def row_risk(fixed, row, first, last, x, y, cos, sin, negligible, idle, floor, minor, room):
     """Risk of one agent mode at one pose: the union bound over its pieces.
 
-    Where `minor` > 0 (Gaussian modes under an exact backend) the half-space bound P ≤ Φ(−(|m| − 1)/σ_m), which holds
-    for every direction and hence for that of m, stands for the whole shape where their sum is at most `negligible`, and
-    for a piece where it is at most `idle`, or `minor` times the likeliest piece: the value is then high by no more.
+    Where `minor` > 0 (Gaussian modes under an exact backend) a half-space bound, P ≤ Φ(−(|m| − 1)/σ_m) in the direction
+    of m or that of the likeliest point, stands for the whole shape where their sum is at most `negligible`, and for a
+    piece where it is at most `idle`, or `minor` times the likeliest piece: the value is then high by no more.
     """
     address, options, order, pieces = fixed
     bounds, scratch, out = room
     d1, d2, e11, e12, e22 = to_ego(x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22])
     scratch_at, options_at, out_at = scratch.ctypes.data, options.ctypes.data, out.ctypes.data
-    value, top, largest, together = 0.0, -1, 0.0, 0.0
+    value, top = 0.0, -1
     if minor > 0.0:
-        for p in range(first, last):
-            m1, m2, s11, s12, s22, det = to_disc(pieces, p, d1, d2, e11, e12, e22, row[DET])
-            bounds[p] = max(_direction_bound(m1, m2, s11, s12, s22), floor)
-            together += bounds[p]
-            if bounds[p] > largest:
-                largest, top = bounds[p], p
+        together, largest, top = _piece_bounds(pieces, row, first, last, x, y, cos, sin, idle, floor, bounds)
         if together <= negligible or largest <= idle:
             return together
         m1, m2, s11, s12, s22, det = to_disc(pieces, top, d1, d2, e11, e12, e22, row[DET])
@@ -51,6 +48,23 @@ def row_risk(fixed, row, first, last, x, y, cos, sin, negligible, idle, floor, m
             whiten_moments(pieces, p, cos, sin, row[MOMENTS:], order, scratch)
         value += call_kernel(address, m1, m2, s11, s12, s22, det, scratch_at, order, options_at, out_at)
     return min(value, 1.0)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _piece_bounds(pieces, row, first, last, x, y, cos, sin, idle, floor, bounds):
+    """Fill bounds (P,) of the pieces' risks; their sum, the largest and whose it is."""
+    d1, d2, e11, e12, e22 = to_ego(x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22])
+    top, largest, together = -1, 0.0, 0.0
+    for p in range(first, last):
+        m1, m2, s11, s12, s22, det = to_disc(pieces, p, d1, d2, e11, e12, e22, row[DET])
+        bound = _direction_bound(m1, m2, s11, s12, s22)
+        if bound > idle:
+            bound = min(bound, half_space(m1, m2, s11, s12, s22, det))
+        bounds[p] = max(bound, floor)
+        together += bounds[p]
+        if bounds[p] > largest:
+            largest, top = bounds[p], p
+    return together, largest, top
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -77,41 +91,78 @@ def _squared_gap(row, x, y):
 def marginals(address, options, order, rows, index, pieces, groups, bounded, poses, out):
     """Fill out (S, M) with the risk of every agent mode at poses (S, 3), NaN before its prediction begins.
 
-    Where the backend is exact (`bounded`), modes and pieces that together are less than rounding beside the largest
+    Where the backend is exact (`bounded`), modes and pieces that all together are less than rounding beside the largest
     marginal are stated by their bounds Φ(−d): far tails are slow to work out, and change no digit of any sum.
     """
-    steps, modes = poses.shape[0], index.shape[0]
     room = (np.empty(pieces.shape[0]), np.empty((order + 1) ** 2), np.empty(ROOM))
     fixed = (address, options, order, pieces)
-    at_step, at_mode, largest = -1, -1, 0.0
-    for s in range(steps):
-        for m in range(modes):
-            row = rows[s, m]
-            out[s, m] = np.nan
-            if bounded and row[WEIGHT] >= 0.0:
-                out[s, m] = 0.5 * math.erfc(math.sqrt(0.5 * _squared_gap(row, poses[s, 0], poses[s, 1])))
-                share = out[s, m] * row[WEIGHT] * groups[index[m, 0]]
-                if share > largest:
-                    at_step, at_mode, largest = s, m, share
-    negligible = 0.0
-    if at_step >= 0:
-        x, y, heading = poses[at_step, 0], poses[at_step, 1], poses[at_step, 2]
-        cos, sin = math.cos(heading), math.sin(heading)
-        row, first, last = rows[at_step, at_mode], index[at_mode, 1], index[at_mode, 2]
-        r = row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, 0.0, 0.0, _ROUNDING, room)
-        if r > 0.0:
-            negligible = _ROUNDING * r * row[WEIGHT] * groups[index[at_mode, 0]] / (steps * modes)
-    minor = _ROUNDING if bounded else 0.0
-    for s in range(steps):
+    negligible, idle, minor = 0.0, 0.0, 0.0
+    if bounded:
+        minor = _ROUNDING
+        spare = 0.5 * _ROUNDING * _bounded(fixed, rows, index, groups, poses, out, room)
+        negligible, left = _threshold(out, spare)
+        idle = spare / max(left * (index[:, 2] - index[:, 1]).max(), 1)
+    for s in range(poses.shape[0]):
         x, y = poses[s, 0], poses[s, 1]
         cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
-        for m in range(modes):
+        for m in range(index.shape[0]):
             row = rows[s, m]
-            if not row[WEIGHT] >= 0.0 or (bounded and out[s, m] <= negligible):
+            share = row[WEIGHT] * groups[index[m, 0]]
+            if not share >= 0.0:
+                out[s, m] = np.nan
+            elif share > 0.0 and bounded and out[s, m] < negligible:
+                out[s, m] /= share
+            else:
+                first, last = index[m, 1], index[m, 2]
+                own = idle / share if share > 0.0 else np.inf
+                out[s, m] = row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, own, 0.0, minor, room)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _bounded(fixed, rows, index, groups, poses, out, room):
+    """Fill out (S, M) with bounds of what every mode adds to a sum; returns what the likeliest of them does add."""
+    pieces, bounds = fixed[3], room[0]
+    at_step, at_mode, largest = -1, -1, 0.0
+    for s in range(poses.shape[0]):
+        x, y = poses[s, 0], poses[s, 1]
+        cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
+        for m in range(index.shape[0]):
+            row = rows[s, m]
+            out[s, m] = 0.0
+            if not row[WEIGHT] > 0.0:
                 continue
-            out[s, m] = row_risk(
-                fixed, row, index[m, 1], index[m, 2], x, y, cos, sin, negligible, 0.0, 0.0, minor, room
-            )
+            share = row[WEIGHT] * groups[index[m, 0]]
+            out[s, m] = 0.5 * math.erfc(math.sqrt(0.5 * _squared_gap(row, x, y))) * share
+            if out[s, m] > largest:  # who is within the shape's reach need not be near its pieces
+                together, _, _ = _piece_bounds(pieces, row, index[m, 1], index[m, 2], x, y, cos, sin, 0.0, 0.0, bounds)
+                out[s, m] = min(together, 1.0) * share
+                if out[s, m] > largest:
+                    at_step, at_mode, largest = s, m, out[s, m]
+    if at_step < 0:
+        return 0.0
+    x, y, heading = poses[at_step, 0], poses[at_step, 1], poses[at_step, 2]
+    cos, sin = math.cos(heading), math.sin(heading)
+    row, first, last = rows[at_step, at_mode], index[at_mode, 1], index[at_mode, 2]
+    risk = row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, 0.0, 0.0, _ROUNDING, room)
+    return risk * row[WEIGHT] * groups[index[at_mode, 0]]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _threshold(values, spare):
+    """(threshold, count of others) so that the values in [0, 1] below the threshold sum up to at most `spare`."""
+    sums, counts = np.zeros(_EXPONENTS), np.zeros(_EXPONENTS, np.int64)
+    for value in values.flat:
+        if value > 0.0:
+            at = math.frexp(value)[1] + _EXPONENTS - 2  # 2^(at − 1075) ≤ value < 2^(at − 1074)
+            sums[at] += value
+            counts[at] += 1
+    total, left = 0.0, counts.sum()
+    for at in range(_EXPONENTS):
+        total += sums[at]
+        if total > spare:
+            return math.ldexp(1.0, at - 1075), left
+        left -= counts[at]
+    return np.inf, 0
 
 
 @nb.njit(cache=True, error_model="numpy")
