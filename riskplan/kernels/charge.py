@@ -15,6 +15,7 @@ MEAN_X, MEAN_Y, C11, C12, C22, DET, WEIGHT, CULL, REACH, MOMENTS = range(10)
 
 # a piece bounded by less than this share of what is charged already is charged its bound: in a search, and in a verdict
 _MINOR, _ROUNDING = 3e-3, 1e-14
+_SMALL = 0.1  # share of what is left to overstate that the whole shape of one mode may take
 _EXPONENTS = 1076  # of numbers from the smallest, 2^−1074, to 1
 
 
@@ -77,14 +78,11 @@ def _direction_bound(m1, m2, s11, s12, s22):
 
 
 @nb.njit(inline="always", error_model="numpy")
-def _squared_gap(row, x, y):
+def _squared_gap(dx, dy, c11, c12, c22, reach):
     """Squared distance in σ along the line of centres from the mean to the whole shape; 0 within its reach."""
-    dx, dy = row[MEAN_X] - x, row[MEAN_Y] - y
     r2 = dx * dx + dy * dy
-    gap = math.sqrt(r2) - row[REACH]
-    if not gap > 0.0:
-        return 0.0
-    return gap * gap * r2 / (dx * dx * row[C11] + 2.0 * dx * dy * row[C12] + dy * dy * row[C22])
+    gap = math.sqrt(r2) - reach
+    return gap * gap * r2 / (dx * dx * c11 + 2.0 * dx * dy * c12 + dy * dy * c22) if gap > 0.0 else 0.0
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -106,8 +104,7 @@ def marginals(address, options, order, rows, index, pieces, groups, bounded, pos
         x, y = poses[s, 0], poses[s, 1]
         cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
         for m in range(index.shape[0]):
-            row = rows[s, m]
-            share = row[WEIGHT] * groups[index[m, 0]]
+            share = rows[s, m, WEIGHT] * groups[index[m, 0]]
             if not share >= 0.0:
                 out[s, m] = np.nan
             elif share > 0.0 and bounded and out[s, m] < negligible:
@@ -115,7 +112,7 @@ def marginals(address, options, order, rows, index, pieces, groups, bounded, pos
             else:
                 first, last = index[m, 1], index[m, 2]
                 own = idle / share if share > 0.0 else np.inf
-                out[s, m] = row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, own, 0.0, minor, room)
+                out[s, m] = row_risk(fixed, rows[s, m], first, last, x, y, cos, sin, 0.0, own, 0.0, minor, room)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -127,14 +124,22 @@ def _bounded(fixed, rows, index, groups, poses, out, room):
         x, y = poses[s, 0], poses[s, 1]
         cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
         for m in range(index.shape[0]):
-            row = rows[s, m]
             out[s, m] = 0.0
-            if not row[WEIGHT] > 0.0:
+            share = rows[s, m, WEIGHT] * groups[index[m, 0]]
+            if not share > 0.0:
                 continue
-            share = row[WEIGHT] * groups[index[m, 0]]
-            out[s, m] = 0.5 * math.erfc(math.sqrt(0.5 * _squared_gap(row, x, y))) * share
+            gap = _squared_gap(
+                rows[s, m, MEAN_X] - x,
+                rows[s, m, MEAN_Y] - y,
+                rows[s, m, C11],
+                rows[s, m, C12],
+                rows[s, m, C22],
+                rows[s, m, REACH],
+            )
+            out[s, m] = 0.5 * math.erfc(math.sqrt(0.5 * gap)) * share
             if out[s, m] > largest:  # who is within the shape's reach need not be near its pieces
-                together, _, _ = _piece_bounds(pieces, row, index[m, 1], index[m, 2], x, y, cos, sin, 0.0, 0.0, bounds)
+                row, first, last = rows[s, m], index[m, 1], index[m, 2]
+                together, _, _ = _piece_bounds(pieces, row, first, last, x, y, cos, sin, 0.0, 0.0, bounds)
                 out[s, m] = min(together, 1.0) * share
                 if out[s, m] > largest:
                     at_step, at_mode, largest = s, m, out[s, m]
@@ -214,8 +219,9 @@ def charge(
         g = index[likely, 0]
         if _breaks(
             fixed,
-            rows[:, likely],
-            index[likely],
+            rows,
+            index,
+            likely,
             groups[g],
             additive,
             small,
@@ -228,27 +234,33 @@ def charge(
         ):
             return np.inf
     step_risk = np.zeros(groups.shape[0])
+    near, gaps = np.empty(index.shape[0], np.int64), np.empty(index.shape[0])
+    negligible, _, _, floor = small
+    minor = _MINOR if negligible > 0.0 else 0.0
     after[:] = before
     most = total_of(groups, after, additive)  # never below the total
-    for s in range(steps):
+    for s in range(steps - 1, -1, -1):  # what breaks a limit is rather at the end
         x, y, heading = poses[s, 0], poses[s, 1], poses[s, 2]
         if not math.isfinite(x + y + heading):
             return np.nan
         cos, sin = math.cos(heading), math.sin(heading)
-        spare = idle
-        for m in range(index.shape[0]):
-            if m == likely:
-                r = asked[s]
-            elif elsewhere:
-                weight = rows[first_step + s, m, WEIGHT]
-                r = weight * given[s, m] if weight > 0.0 else 0.0
-            else:
-                r = _mode_risk(fixed, rows[first_step + s, m], index[m], x, y, cos, sin, small, spare, room)
-                if r <= spare:
-                    spare -= r
-            if r == 0.0:
-                continue
-            g = index[m, 0]
+        step, spare = first_step + s, idle
+        if likely >= 0:
+            step_risk[index[likely, 0]] += asked[s]
+        count = _cull(rows, step, index, x, y, small, likely, step_risk, near, gaps)
+        for n in range(count):
+            m = near[n]
+            g, first, last, weight = index[m, 0], index[m, 1], index[m, 2], rows[step, m, WEIGHT]
+            # each of the pieces lies beyond what the whole shape lies beyond
+            r = weight * (last - first) * 0.5 * math.erfc(math.sqrt(0.5 * gaps[n])) if minor > 0.0 else np.inf
+            if elsewhere:
+                r = weight * given[s, m]
+            elif r > _SMALL * spare:
+                r = weight * row_risk(
+                    fixed, rows[step, m], first, last, x, y, cos, sin, spare, negligible, floor, minor, room
+                )
+            if r <= spare:
+                spare -= r
             step_risk[g] += r
             if groups[g] * step_risk[g] > limit:  # one mode alone
                 suspect[0] = m
@@ -266,12 +278,50 @@ def charge(
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _breaks(fixed, rows, index, weight, additive, small, poses, first_step, spent, limit, asked, room):
+def _cull(rows, step, index, x, y, small, skipped, step_risk, near, gaps):
+    """List in near (M,) the modes that have to be looked at, with squared gaps (M,), and charge far ones their bound.
+
+    No view of an array is made here: counting references would take longer than all else.
+    """
+    negligible, quantile, _, _ = small
+    count = 0
+    for m in range(index.shape[0]):
+        weight = rows[step, m, WEIGHT]
+        if not weight > 0.0 or m == skipped:
+            continue
+        dx, dy = rows[step, m, MEAN_X] - x, rows[step, m, MEAN_Y] - y
+        if dx * dx + dy * dy > rows[step, m, CULL]:
+            continue
+        gap = 0.0
+        if negligible > 0.0:
+            c11, c12, c22 = rows[step, m, C11], rows[step, m, C12], rows[step, m, C22]
+            gap = _squared_gap(dx, dy, c11, c12, c22, rows[step, m, REACH])
+            if gap > quantile:  # every piece lies beyond a half-space as unlikely as that
+                step_risk[index[m, 0]] += weight * negligible * (index[m, 2] - index[m, 1])
+                continue
+        near[count], gaps[count] = m, gap
+        count += 1
+    return count
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _breaks(fixed, rows, index, mode, weight, additive, small, poses, first_step, spent, limit, asked, room):
     """Whether one mode alone breaks the limit; fills asked (S,) with its risks on the way."""
+    negligible, _, _, floor = small
+    minor = _MINOR if negligible > 0.0 else 0.0
+    near, gaps, nothing = np.empty(1, np.int64), np.empty(1), np.zeros(1)
+    alone = np.array([[0, index[mode, 1], index[mode, 2]]])
     for s in range(poses.shape[0]):
         x, y = poses[s, 0], poses[s, 1]
         cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
-        asked[s] = r = _mode_risk(fixed, rows[first_step + s], index, x, y, cos, sin, small, 0.0, room)
+        row = rows[first_step + s, mode]
+        nothing[0] = 0.0
+        if _cull(rows[:, mode : mode + 1], first_step + s, alone, x, y, small, -1, nothing, near, gaps):
+            first, last = index[mode, 1], index[mode, 2]
+            r = row[WEIGHT] * row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, negligible, floor, minor, room)
+        else:
+            r = nothing[0]
+        asked[s] = r
         if r > 0.0:
             spent = _spend(spent, r, additive)
         if weight * (spent if additive else -math.expm1(-spent)) > limit:
@@ -286,26 +336,6 @@ def _spend(spent, risk, additive):
     if risk < 1e-8:
         return spent + risk * (1.0 + 1e-8)  # −log(1 − r) ≤ r + r²
     return spent - math.log1p(-risk) if risk < 1.0 else np.inf
-
-
-@nb.njit(inline="always", error_model="numpy")
-def _mode_risk(fixed, row, index, x, y, cos, sin, small, spare, room):
-    """Weighted risk of one agent mode at one step, by a bound where that is at most `spare`; 0 where it is culled."""
-    weight = row[WEIGHT]
-    if not weight > 0.0:
-        return 0.0
-    dx, dy = row[MEAN_X] - x, row[MEAN_Y] - y
-    r2 = dx * dx + dy * dy
-    if r2 > row[CULL]:
-        return 0.0
-    negligible, quantile, _, floor = small
-    if negligible > 0.0:
-        gap = math.sqrt(r2) - row[REACH]
-        spread = dx * dx * row[C11] + 2.0 * dx * dy * row[C12] + dy * dy * row[C22]
-        if gap > 0.0 and gap * gap * r2 > quantile * spread:
-            return weight * negligible  # the whole shape lies beyond a half-space as unlikely as that
-    minor = _MINOR if negligible > 0.0 else 0.0
-    return weight * row_risk(fixed, row, index[1], index[2], x, y, cos, sin, spare, negligible, floor, minor, room)
 
 
 @nb.njit(cache=True, error_model="numpy")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import NamedTuple
@@ -25,6 +25,8 @@ TOGETHER = 5  # arrivals within so many steps are alike
 _FAILURES = 0.3  # children of a label that fail put the others back by a step
 _UNCONNECTED = 500  # labels made on a roadmap that does not lead to the goal
 _KEPT = 4  # labels kept per vertex, step and speed
+_SAFER = 0.3  # without a bound: share of the least risk seen that is looked for next
+_LAST = 1e9  # rank of what is riskier, above all times
 _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
 
 
@@ -154,7 +156,11 @@ class Query:
         seen: dict[tuple[int, ...], list[Array]] = {}
         heap: list[tuple[float, float, int, int, tuple[float, ...]]] = []
         failed: dict[int, int] = {}
-        serial, best = 0, -1
+        serial, best, aim = 0, -1, np.inf
+
+        def ranked(number: int, child: Sequence[float]) -> float:
+            total = self.labels[number].total
+            return child[3] // TOGETHER if total <= aim else _LAST + _decade(total)
 
         def push(number: int) -> None:
             nonlocal serial
@@ -162,8 +168,7 @@ class Query:
             for child in self.children(label):
                 serial += 1
                 after = min(label.step + child[1], p.goal.latest)
-                rank = child[3] // TOGETHER if budget.bound is not None else _decade(label.total)
-                heapq.heappush(heap, (rank, -after, serial, number, tuple(child)))
+                heapq.heappush(heap, (ranked(number, child), -after, serial, number, tuple(child)))
 
         push(0)
         while heap and len(self.labels) < self.most and not budget.over():
@@ -189,6 +194,11 @@ class Query:
                 best = len(self.labels) - 1
                 if budget.found(label.total):
                     break
+                # without a bound: much safer ones next, as if they were the first, and then by risk
+                aim = _SAFER * label.total
+                heap = [(ranked(*each[3:]), *each[1:]) for each in heap]
+                heapq.heapify(heap)
+                seen.clear()
             else:
                 push(len(self.labels) - 1)
         return self.result(best)
