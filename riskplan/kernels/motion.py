@@ -7,7 +7,7 @@ import numpy as np
 
 from riskplan.kernels.roadmap import least_time
 from riskplan.kernels.steer import steer
-from riskplan.kernels.world import goal_region, swept_free
+from riskplan.kernels.world import goal_region, path_free
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -20,15 +20,14 @@ def extend(kernel, node, u1, u2, u3, steps, dt, limits, lanes, world, goal, earl
     step = int(node[5])
     steps = min(steps, latest - step)
     possible = steer(kernel, node, u1, u2, u3, steps, dt, limits, lanes, out)
-    px, py, ph = node[0], node[1], node[2]
-    for i in range(possible):
-        x, y, heading, speed = out[i, 0], out[i, 1], out[i, 2], out[i, 3]
-        if not swept_free(px, py, ph, x, y, heading, world):
-            return 0, False
-        px, py, ph = x, y, heading
-        if step + i + 1 >= earliest and goal_region(x, y, heading, speed, *goal) >= 0:
-            return i + 1, True
-    return (steps if possible == steps else 0), False
+    driven, arrived = possible, False
+    for i in range(max(earliest - step - 1, 0), possible):
+        if goal_region(out[i, 0], out[i, 1], out[i, 2], out[i, 3], *goal) >= 0:
+            driven, arrived = i + 1, True
+            break
+    if not arrived and possible < steps:
+        return 0, False
+    return (driven, arrived) if path_free(node[0], node[1], node[2], out, driven, world) else (0, False)
 
 
 @nb.njit(cache=True, error_model="numpy")
