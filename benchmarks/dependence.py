@@ -16,7 +16,8 @@ from time import perf_counter
 import numpy as np
 
 import riskplan as rp
-from benchmarks.planning import Task, collides, progress, tasks_of
+from benchmarks.planning import collides
+from benchmarks.planning_tasks import Task, progress, tasks_of
 from checkers.backends.monte_carlo import clopper_pearson
 from riskplan.futures import make_evaluator
 from riskplan.report import sample_risk

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.integrate import quad
 
 import riskplan as rp
-from benchmarks.planning import Task, progress, tasks_of
+from benchmarks.planning_tasks import Task, progress, tasks_of
 from checkers import Checker, CheckerInfo, Kind
 from checkers.base import ArrayRisk
 from checkers.kernels.tail import MAX_ORDER, gaussian_form

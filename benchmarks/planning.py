@@ -1,47 +1,33 @@
 """Planning on recorded traffic: `python -m benchmarks.planning --data DIR` prints the README's tables.
 
-Two tasks from each CommonRoad file: `horizon` (a recorded driver replaced for 3 s) and `problem` (the file's own).
-Every plan is sampled against its bound and replayed against the recorded rectangles; the recorded driver's own path is
-scored by the same evaluator. Times are wall clock per plan, preparation and judging included, after warm-up.
+Two tasks from each CommonRoad file: `horizon` (a recorded driver replaced for 3 s) and `problem` (the file's own); on
+demand `argoverse` (predictions of recorded vehicles around random tasks) and `demos` (the shipped scenes). Every plan
+is sampled against its bound and replayed against the recorded rectangles; the recorded driver's own path is scored by
+the same evaluator. Times are wall clock per plan, preparation and judging included, after warm-up.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TypeVar
 
 import numpy as np
 import shapely
 
 import riskplan as rp
+from benchmarks.planning_tasks import KINDS, Task, progress, tasks_of_kinds
 from checkers.backends.monte_carlo import clopper_pearson
 from predictor import Track
 from riskplan.evaluator import RiskEvaluator
-from riskplan.io.commonroad import CommonRoadScene, load_commonroad
 from riskplan.report import sample_risk
 
 BOUNDS = (0.1, 0.01, 0.001, 1e-5)
 PLANNERS = ("rrt", "prm")
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Task:
-    """One planning task and the recording that judges it."""
-
-    name: str
-    kind: str
-    scenario: rp.Scenario
-    others: tuple[Track, ...]
-    driver: Track | None
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -61,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", required=True, help="directory with CommonRoad files, searched recursively")
     parser.add_argument("--files", type=int, default=40, help="how many files, spread evenly over the sorted list")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--tasks", default="horizon,problem", help="which tasks, comma-separated")
+    parser.add_argument("--tasks", default="horizon,problem", help=f"comma-separated, of {', '.join(KINDS)}")
     parser.add_argument("--planners", default=",".join(PLANNERS), help="which, comma-separated")
     parser.add_argument("--bounds", default=",".join(map(str, BOUNDS)), help="on the total, comma-separated")
     parser.add_argument("--limit", type=float, default=5.0, help="time limit of a search [s]")
@@ -74,47 +60,18 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     options.planners = options.planners.split(",")
     options.bounds = [float(b) for b in options.bounds.split(",")]
-    files = sorted(Path(options.data).rglob("*.xml"))
-    if not files:
-        print(f"benchmarks.planning: no .xml files under {options.data}", file=sys.stderr)
-        return 2
-    chosen = [files[i] for i in np.unique(np.linspace(0, len(files) - 1, options.files).astype(int))]
-    tasks = list(progress([t for f in chosen for t in tasks_of(f, options.seed)], "tasks"))
+    kinds = options.tasks.split(",")
+    files, tasks = tasks_of_kinds(kinds, Path(options.data), options.files, options.seed)
     if not tasks:
-        print(f"benchmarks.planning: no tasks in the {len(chosen)} files chosen", file=sys.stderr)
+        print(f"benchmarks.planning: no tasks of {options.tasks} under {options.data}", file=sys.stderr)
         return 2
     warm_up(tasks, options)
     checker = "projected-sos of order 8" if options.moments else "exact"
     how = f"checker {checker}, dependence {options.dependence}, {'processor time' if options.cpu else 'wall clock'}"
-    print(f"{len(chosen)} of {len(files)} files, seed {options.seed}; ego: six discs along the lane; {how}")
-    for kind in options.tasks.split(","):
+    print(f"{files}, seed {options.seed}; ego: six discs along the lane; {how}")
+    for kind in kinds:
         report(kind, [t for t in tasks if t.kind == kind], options)
     return 0
-
-
-def tasks_of(path: Path, seed: int) -> Iterator[Task]:
-    """The tasks of one file; files without one are skipped with a note."""
-    scene = load_commonroad(path)
-    number = zlib.crc32(path.name.encode()) + seed
-    horizon = scene.horizon_task(np.random.default_rng(number))
-    if horizon is not None:
-        yield Task(scene.name, "horizon", horizon.scenario, horizon.others, horizon.driver, number % 2**31)
-    try:
-        scenario = scene.scenario()
-    except rp.InputError as error:
-        print(f"{path.name}: {error}", file=sys.stderr)
-        return
-    yield Task(scene.name, "problem", scenario, recorded(scene, scenario), None, number % 2**31)
-
-
-def recorded(scene: CommonRoadScene, scenario: rp.Scenario) -> tuple[Track, ...]:
-    """What the agents of the file's own problem really did."""
-    start = scene.problems[0].time
-    names = {a.name for a in scenario.agents}
-    end = start + float(scenario.horizon or 0.0)
-    return tuple(
-        t.window(start, end) for t in scene.tracks if t.name in names and t.times[0] <= start + 1e-6 < t.times[-1]
-    )
 
 
 def warm_up(tasks: list[Task], options: argparse.Namespace) -> None:
@@ -325,16 +282,6 @@ def print_reference(outcomes: list[Outcome], tasks: list[Task], options: argpars
             solved += known.plan.solved
             fast += known.plan.solved and known.seconds <= 1.0
         print(f"| {planner} | {bound:g} | {solved} | {fast} |")
-
-
-def progress(items: list[T], what: str) -> Iterator[T]:
-    """The items, counted on stderr if that is a terminal."""
-    for i, item in enumerate(items):
-        if sys.stderr.isatty():
-            print(f"\r\033[K{what} {i + 1}/{len(items)}", end="", file=sys.stderr, flush=True)
-        yield item
-    if sys.stderr.isatty():
-        print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from time import perf_counter, process_time
 import numpy as np
 
 import riskplan as rp
-from benchmarks.planning import Task, progress, tasks_of
+from benchmarks.planning_tasks import Task, progress, tasks_of
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -30,7 +30,8 @@ from scipy.stats import beta
 
 import riskplan as rp
 from benchmarks.cases import table
-from benchmarks.planning import progress, rectangle
+from benchmarks.planning import rectangle
+from benchmarks.planning_tasks import progress
 from checkers.shapes import EgoShape
 from checkers.validate import Array
 from predictor import ConstantVelocity, Manoeuvres

@@ -84,14 +84,15 @@ def simulate(
         InputError: on bad values, and a roadmap for a vehicle that cannot follow one.
     """
     scenario, road = _scene_and_traffic(scenario, traffic, problem, seed)
+    dependence = as_option("dependence", dependence, PATH_DEPENDENCE)
     loop = _Loop(
         scenario=scenario,
         traffic=road,
         predictor=predictor or ConstantVelocity.fitted(),
-        planner=_prepared(planner, scenario, seed),
+        planner=_prepared(planner, scenario, seed, dependence),
         checker=_checker(checker),
         bound=as_scalar("bound", bound, low=0.0, high=1.0),
-        dependence=as_option("dependence", dependence, PATH_DEPENDENCE),
+        dependence=dependence,
         stride=_whole("replan", as_scalar("replan", replan, low=0.0, strict=True) / scenario.time_step, scenario),
         time_limit=as_scalar("time_limit", time_limit, low=0.0),
         seed=seed,
@@ -305,10 +306,10 @@ def _scene_and_traffic(
     return scenario, traffic if isinstance(traffic, Traffic) else Traffic(tuple(traffic))
 
 
-def _prepared(planner: str | Planner, scenario: Scenario, seed: int) -> Planner:
+def _prepared(planner: str | Planner, scenario: Scenario, seed: int, dependence: str) -> Planner:
     """The planner, compiled; a `prm` with the roadmap that all of its searches use."""
     method = make_planner(planner) if isinstance(planner, str) else planner
-    warm_up(type(method))
+    warm_up(type(method), dependence)
     if getattr(method, "roadmap", "none") is None:
         from riskplan.ompl.roadmap import Roadmap  # noqa: PLC0415  only where it is needed
 

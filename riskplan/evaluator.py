@@ -69,8 +69,8 @@ class RiskEvaluator:
         terms = len(self.times) * max(int(pieces.sum()), 1)
         stated = self.checker.resolution if isinstance(self.checker, Cascade) else 0.0
         bounded = self.checker.info.kind is Kind.EXACT or stated > 0.0
-        # at least what the judge will state of a whole shape
-        negligible = max(0.5 * self.resolution / terms, stated * pieces.max(initial=1)) if bounded else 0.0
+        # of a piece, and at least what the judge will state of it
+        negligible = max(0.5 * self.resolution / terms, stated) if bounded else 0.0
         idle = 0.5 * self.resolution / len(self.times) if bounded else 0.0
         return (
             self.checker.kernel,

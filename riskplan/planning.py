@@ -189,7 +189,7 @@ def search_once(
     stop: Callable[[], bool] | None = None,
 ) -> Plan:
     """One search in this process, with settings that were checked."""
-    warm_up(type(method))
+    warm_up(type(method), settings["dependence"])
     began = perf_counter()
     bound, dependence = settings["bound"], settings["dependence"]
     limits = [math.inf if settings[name] is None else settings[name] for name in ("step_bound", "agent_bound")]

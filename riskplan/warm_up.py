@@ -2,33 +2,66 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from typing import Literal
 
 import numpy as np
 
-from checkers import EgoCover, GaussianMixturePrediction, checker
-from riskplan.evaluator import RiskEvaluator
+from checkers import EgoBox, EgoCover, GaussianMixturePrediction, checker
+from checkers.validate import Array
+from riskplan.futures import make_evaluator
 from riskplan.scene import Goal, Scenario, State
 from riskplan.search import Budget, Planner, Problem
+from riskplan.world import goal_too_far
+
+_Order = Literal["C", "F"]
+_ORDERS: tuple[_Order, ...] = ("C", "F")
 
 
 @cache
-def warm_up(planner: type[Planner]) -> None:
-    """Search once per process and kind of planner, in a scene of three steps; all checkers share the loops."""
+def warm_up(planner: type[Planner], dependence: str = "independent") -> None:
+    """Search and judge once per process, kind of planner and dependence, in a scene of three steps.
+
+    All checkers share the loops; where errors persist, shapes and agents of every kind have loops of their own.
+    """
     times = np.linspace(0.0, 0.3, 4)
-    means = np.tile(np.array([10.0, 3.0]), (4, 1, 1))
-    agent = GaussianMixturePrediction(times, np.ones(1), means, np.tile(np.eye(2), (4, 1, 1, 1)))
+    agents = [_agent(times, order) for order in _ORDERS]
     scene = Scenario(
         start=State(0.0, 0.0, 0.0, 10.0),
         goal=Goal.at(3.0, 0.0, radius=1.5),
         bounds=(-10.0, -5.0, 20.0, 5.0),
-        agents=(agent,),
+        agents=tuple(agents),
         ego=EgoCover.discs(1.0, 1.0, 2),
         drivable=(np.array([[-20.0, -5.0], [30.0, -5.0], [30.0, 5.0], [-20.0, 5.0]]),),
         lanes=(np.array([[-20.0, 0.0], [30.0, 0.0]]),),
     )
-    evaluator = RiskEvaluator(scene.agents, scene.ego, checker("exact"), scene.times)
+    if dependence != "persistent":
+        _search(planner, scene, dependence)
+        return
+    for ego in (scene.ego, EgoBox(1.0, 1.0)):
+        for share in (1.0, 0.9):  # all of the error persists, or the rest is drawn at every step
+            known = [replace(a, factors=share * a.covariances) for a in agents]
+            _search(planner, replace(scene, ego=ego, agents=tuple(known)), dependence)
+
+
+def _agent(times: Array, order: _Order) -> GaussianMixturePrediction:
+    """Two modes; predictors leave their arrays in either order, and loops are compiled for each."""
+    means = np.stack([5.0 + 4.0 * times, 2.0 + 0.0 * times], axis=-1)[:, None].repeat(2, axis=1)
+    spread = np.array(np.tile(np.eye(2), (len(times), 2, 1, 1)), order=order)
+    headings = np.zeros((len(times), 2), order=order)
+    return GaussianMixturePrediction(times, np.full(2, 0.5), means, spread, length=4.0, width=2.0, headings=headings)
+
+
+def _search(planner: type[Planner], scene: Scenario, dependence: str) -> None:
+    evaluator = make_evaluator(scene.agents, scene.ego, checker("exact"), scene.times, dependence)
     few = 40 if getattr(planner, "anytime", False) else 2000  # one that goes on would go on to its limit
-    found = planner().search(Problem(scene, evaluator), Budget(1.0, 60.0, iterations=few), 0)
-    if found.states is not None:
-        evaluator.judge(found.states[:, :3])
+    planner().search(Problem(scene, evaluator), Budget(1.0, 60.0, iterations=few), 0)
+    # and for what cannot be reached, which asks for more
+    far = replace(scene, goal=Goal.at(18.0, 0.0, radius=1.5))
+    problem = Problem(far, evaluator)
+    goal_too_far(far, problem.goal)
+    planner().search(problem, Budget(1.0, 60.0, iterations=40), 0)
+    driven = np.column_stack([10.0 * scene.times, np.zeros((len(scene.times), 2))])
+    evaluator.judge(driven)  # whatever was found
+    evaluator.confirmed(driven, 0.0)

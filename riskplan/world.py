@@ -60,7 +60,7 @@ class StaticWorld:
 
     @cached_property
     def packed(self) -> tuple[object, ...]:
-        """Arguments of `kernels.world.body_free` after the pose."""
+        """What `kernels.world.path_free` reads."""
         s = self.scenario
         length, width = s.vehicle.body
         half = (0.5 * length, -1.0 if s.vehicle.disc else 0.5 * width)
@@ -84,7 +84,7 @@ class StaticWorld:
 
     def free(self, x: float, y: float, heading: float) -> bool:
         """Whether the body at the pose lies within bounds and drivable area and off every obstacle."""
-        return bool(hot.body_free(x, y, heading, *self.packed))
+        return bool(hot.body_free(x, y, heading, self.packed))
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,8 +73,10 @@ def test_stated_risk_is_that_of_the_predictions_made_from_the_past():
 
 
 def test_nothing_is_known_before_it_happens():
-    brakes_late = [FREE[0], track("beside", -15, 3.5, lambda t: 12 if t <= 1.5 else max(12 - 8 * (t - 1.5), 0))]
-    a, b = (rp.simulate(two_lanes(), t, bound=0.02, time_limit=5.0) for t in (FREE, brakes_late))
+    goes_on = track("beside", 0, 3.5, lambda t: 12)
+    brakes_late = track("beside", 0, 3.5, lambda t: 12 if t <= 1.5 else max(12 - 8 * (t - 1.5), 0))
+    traffic = [FREE[0], goes_on], [FREE[0], brakes_late]
+    a, b = (rp.simulate(two_lanes(), t, bound=0.02, time_limit=5.0) for t in traffic)
     before = [(c, d) for c, d in zip(a.cycles, b.cycles, strict=False) if c.time <= 1.5 + 1e-9]
     assert len(before) == 16
     for c, d in before:

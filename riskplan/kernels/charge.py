@@ -6,6 +6,7 @@ import numba as nb
 import numpy as np
 
 from checkers.kernels.abi import ROOM, call_kernel
+from checkers.kernels.gaussian import half_space
 from checkers.kernels.whiten import to_disc, to_ego, whiten_moments
 
 # columns of the agent rows; central moments follow
@@ -14,28 +15,25 @@ MEAN_X, MEAN_Y, C11, C12, C22, DET, WEIGHT, CULL, REACH, MOMENTS = range(10)
 
 # a piece bounded by less than this share of what is charged already is charged its bound: in a search, and in a verdict
 _MINOR, _ROUNDING = 3e-3, 1e-14
+_SMALL = 0.1  # share of what is left to overstate that the whole shape of one mode may take
+_EXPONENTS = 1076  # of numbers from the smallest, 2^−1074, to 1
 
 
 @nb.njit(cache=True, error_model="numpy")
 def row_risk(fixed, row, first, last, x, y, cos, sin, negligible, idle, floor, minor, room):
     """Risk of one agent mode at one pose: the union bound over its pieces.
 
-    Where `minor` > 0 (Gaussian modes under an exact backend) the half-space bound P ≤ Φ(−(|m| − 1)/σ_m), which holds
-    for every direction and hence for that of m, stands for the whole shape where their sum is at most `negligible`, and
-    for a piece where it is at most `idle`, or `minor` times the likeliest piece: the value is then high by no more.
+    Where `minor` > 0 (Gaussian modes under an exact backend) a half-space bound, P ≤ Φ(−(|m| − 1)/σ_m) in the direction
+    of m or that of the likeliest point, stands for the whole shape where their sum is at most `negligible`, and for a
+    piece where it is at most `idle`, or `minor` times the likeliest piece: the value is then high by no more.
     """
     address, options, order, pieces = fixed
     bounds, scratch, out = room
     d1, d2, e11, e12, e22 = to_ego(x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22])
     scratch_at, options_at, out_at = scratch.ctypes.data, options.ctypes.data, out.ctypes.data
-    value, top, largest, together = 0.0, -1, 0.0, 0.0
+    value, top = 0.0, -1
     if minor > 0.0:
-        for p in range(first, last):
-            m1, m2, s11, s12, s22, det = to_disc(pieces, p, d1, d2, e11, e12, e22, row[DET])
-            bounds[p] = max(_direction_bound(m1, m2, s11, s12, s22), floor)
-            together += bounds[p]
-            if bounds[p] > largest:
-                largest, top = bounds[p], p
+        together, largest, top = _piece_bounds(pieces, row, first, last, x, y, cos, sin, idle, floor, bounds)
         if together <= negligible or largest <= idle:
             return together
         m1, m2, s11, s12, s22, det = to_disc(pieces, top, d1, d2, e11, e12, e22, row[DET])
@@ -53,6 +51,23 @@ def row_risk(fixed, row, first, last, x, y, cos, sin, negligible, idle, floor, m
     return min(value, 1.0)
 
 
+@nb.njit(cache=True, error_model="numpy")
+def _piece_bounds(pieces, row, first, last, x, y, cos, sin, idle, floor, bounds):
+    """Fill bounds (P,) of the pieces' risks; their sum, the largest and whose it is."""
+    d1, d2, e11, e12, e22 = to_ego(x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22])
+    top, largest, together = -1, 0.0, 0.0
+    for p in range(first, last):
+        m1, m2, s11, s12, s22, det = to_disc(pieces, p, d1, d2, e11, e12, e22, row[DET])
+        bound = _direction_bound(m1, m2, s11, s12, s22)
+        if bound > idle:
+            bound = min(bound, half_space(m1, m2, s11, s12, s22, det))
+        bounds[p] = max(bound, floor)
+        together += bounds[p]
+        if bounds[p] > largest:
+            largest, top = bounds[p], p
+    return together, largest, top
+
+
 @nb.njit(inline="always", error_model="numpy")
 def _direction_bound(m1, m2, s11, s12, s22):
     r2 = m1 * m1 + m2 * m2
@@ -63,55 +78,96 @@ def _direction_bound(m1, m2, s11, s12, s22):
 
 
 @nb.njit(inline="always", error_model="numpy")
-def _squared_gap(row, x, y):
+def _squared_gap(dx, dy, c11, c12, c22, reach):
     """Squared distance in σ along the line of centres from the mean to the whole shape; 0 within its reach."""
-    dx, dy = row[MEAN_X] - x, row[MEAN_Y] - y
     r2 = dx * dx + dy * dy
-    gap = math.sqrt(r2) - row[REACH]
-    if not gap > 0.0:
-        return 0.0
-    return gap * gap * r2 / (dx * dx * row[C11] + 2.0 * dx * dy * row[C12] + dy * dy * row[C22])
+    gap = math.sqrt(r2) - reach
+    return gap * gap * r2 / (dx * dx * c11 + 2.0 * dx * dy * c12 + dy * dy * c22) if gap > 0.0 else 0.0
 
 
 @nb.njit(cache=True, error_model="numpy")
 def marginals(address, options, order, rows, index, pieces, groups, bounded, poses, out):
     """Fill out (S, M) with the risk of every agent mode at poses (S, 3), NaN before its prediction begins.
 
-    Where the backend is exact (`bounded`), modes and pieces that together are less than rounding beside the largest
+    Where the backend is exact (`bounded`), modes and pieces that all together are less than rounding beside the largest
     marginal are stated by their bounds Φ(−d): far tails are slow to work out, and change no digit of any sum.
     """
-    steps, modes = poses.shape[0], index.shape[0]
     room = (np.empty(pieces.shape[0]), np.empty((order + 1) ** 2), np.empty(ROOM))
     fixed = (address, options, order, pieces)
-    at_step, at_mode, largest = -1, -1, 0.0
-    for s in range(steps):
-        for m in range(modes):
-            row = rows[s, m]
-            out[s, m] = np.nan
-            if bounded and row[WEIGHT] >= 0.0:
-                out[s, m] = 0.5 * math.erfc(math.sqrt(0.5 * _squared_gap(row, poses[s, 0], poses[s, 1])))
-                share = out[s, m] * row[WEIGHT] * groups[index[m, 0]]
-                if share > largest:
-                    at_step, at_mode, largest = s, m, share
-    negligible = 0.0
-    if at_step >= 0:
-        x, y, heading = poses[at_step, 0], poses[at_step, 1], poses[at_step, 2]
-        cos, sin = math.cos(heading), math.sin(heading)
-        row, first, last = rows[at_step, at_mode], index[at_mode, 1], index[at_mode, 2]
-        r = row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, 0.0, 0.0, _ROUNDING, room)
-        if r > 0.0:
-            negligible = _ROUNDING * r * row[WEIGHT] * groups[index[at_mode, 0]] / (steps * modes)
-    minor = _ROUNDING if bounded else 0.0
-    for s in range(steps):
+    negligible, idle, minor = 0.0, 0.0, 0.0
+    if bounded:
+        minor = _ROUNDING
+        spare = 0.5 * _ROUNDING * _bounded(fixed, rows, index, groups, poses, out, room)
+        negligible, left = _threshold(out, spare)
+        idle = spare / max(left * (index[:, 2] - index[:, 1]).max(), 1)
+    for s in range(poses.shape[0]):
         x, y = poses[s, 0], poses[s, 1]
         cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
-        for m in range(modes):
-            row = rows[s, m]
-            if not row[WEIGHT] >= 0.0 or (bounded and out[s, m] <= negligible):
+        for m in range(index.shape[0]):
+            share = rows[s, m, WEIGHT] * groups[index[m, 0]]
+            if not share >= 0.0:
+                out[s, m] = np.nan
+            elif share > 0.0 and bounded and out[s, m] < negligible:
+                out[s, m] /= share
+            else:
+                first, last = index[m, 1], index[m, 2]
+                own = idle / share if share > 0.0 else np.inf
+                out[s, m] = row_risk(fixed, rows[s, m], first, last, x, y, cos, sin, 0.0, own, 0.0, minor, room)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _bounded(fixed, rows, index, groups, poses, out, room):
+    """Fill out (S, M) with bounds of what every mode adds to a sum; returns what the likeliest of them does add."""
+    pieces, bounds = fixed[3], room[0]
+    at_step, at_mode, largest = -1, -1, 0.0
+    for s in range(poses.shape[0]):
+        x, y = poses[s, 0], poses[s, 1]
+        cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
+        for m in range(index.shape[0]):
+            out[s, m] = 0.0
+            share = rows[s, m, WEIGHT] * groups[index[m, 0]]
+            if not share > 0.0:
                 continue
-            out[s, m] = row_risk(
-                fixed, row, index[m, 1], index[m, 2], x, y, cos, sin, negligible, 0.0, 0.0, minor, room
+            gap = _squared_gap(
+                rows[s, m, MEAN_X] - x,
+                rows[s, m, MEAN_Y] - y,
+                rows[s, m, C11],
+                rows[s, m, C12],
+                rows[s, m, C22],
+                rows[s, m, REACH],
             )
+            out[s, m] = 0.5 * math.erfc(math.sqrt(0.5 * gap)) * share
+            if out[s, m] > largest:  # who is within the shape's reach need not be near its pieces
+                row, first, last = rows[s, m], index[m, 1], index[m, 2]
+                together, _, _ = _piece_bounds(pieces, row, first, last, x, y, cos, sin, 0.0, 0.0, bounds)
+                out[s, m] = min(together, 1.0) * share
+                if out[s, m] > largest:
+                    at_step, at_mode, largest = s, m, out[s, m]
+    if at_step < 0:
+        return 0.0
+    x, y, heading = poses[at_step, 0], poses[at_step, 1], poses[at_step, 2]
+    cos, sin = math.cos(heading), math.sin(heading)
+    row, first, last = rows[at_step, at_mode], index[at_mode, 1], index[at_mode, 2]
+    risk = row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, 0.0, 0.0, _ROUNDING, room)
+    return risk * row[WEIGHT] * groups[index[at_mode, 0]]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _threshold(values, spare):
+    """(threshold, count of others) so that the values in [0, 1] below the threshold sum up to at most `spare`."""
+    sums, counts = np.zeros(_EXPONENTS), np.zeros(_EXPONENTS, np.int64)
+    for value in values.flat:
+        if value > 0.0:
+            at = math.frexp(value)[1] + _EXPONENTS - 2  # 2^(at − 1075) ≤ value < 2^(at − 1074)
+            sums[at] += value
+            counts[at] += 1
+    total, left = 0.0, counts.sum()
+    for at in range(_EXPONENTS):
+        total += sums[at]
+        if total > spare:
+            return math.ldexp(1.0, at - 1075), left
+        left -= counts[at]
+    return np.inf, 0
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -163,8 +219,9 @@ def charge(
         g = index[likely, 0]
         if _breaks(
             fixed,
-            rows[:, likely],
-            index[likely],
+            rows,
+            index,
+            likely,
             groups[g],
             additive,
             small,
@@ -177,27 +234,33 @@ def charge(
         ):
             return np.inf
     step_risk = np.zeros(groups.shape[0])
+    near, gaps = np.empty(index.shape[0], np.int64), np.empty(index.shape[0])
+    negligible, _, _, floor = small
+    minor = _MINOR if negligible > 0.0 else 0.0
     after[:] = before
     most = total_of(groups, after, additive)  # never below the total
-    for s in range(steps):
+    for s in range(steps - 1, -1, -1):  # what breaks a limit is rather at the end
         x, y, heading = poses[s, 0], poses[s, 1], poses[s, 2]
         if not math.isfinite(x + y + heading):
             return np.nan
         cos, sin = math.cos(heading), math.sin(heading)
-        spare = idle
-        for m in range(index.shape[0]):
-            if m == likely:
-                r = asked[s]
-            elif elsewhere:
-                weight = rows[first_step + s, m, WEIGHT]
-                r = weight * given[s, m] if weight > 0.0 else 0.0
-            else:
-                r = _mode_risk(fixed, rows[first_step + s, m], index[m], x, y, cos, sin, small, spare, room)
-                if r <= spare:
-                    spare -= r
-            if r == 0.0:
-                continue
-            g = index[m, 0]
+        step, spare = first_step + s, idle
+        if likely >= 0:
+            step_risk[index[likely, 0]] += asked[s]
+        count = _cull(rows, step, index, x, y, small, likely, step_risk, near, gaps)
+        for n in range(count):
+            m = near[n]
+            g, first, last, weight = index[m, 0], index[m, 1], index[m, 2], rows[step, m, WEIGHT]
+            # each of the pieces lies beyond what the whole shape lies beyond
+            r = weight * (last - first) * 0.5 * math.erfc(math.sqrt(0.5 * gaps[n])) if minor > 0.0 else np.inf
+            if elsewhere:
+                r = weight * given[s, m]
+            elif r > _SMALL * spare:
+                r = weight * row_risk(
+                    fixed, rows[step, m], first, last, x, y, cos, sin, spare, negligible, floor, minor, room
+                )
+            if r <= spare:
+                spare -= r
             step_risk[g] += r
             if groups[g] * step_risk[g] > limit:  # one mode alone
                 suspect[0] = m
@@ -215,12 +278,50 @@ def charge(
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _breaks(fixed, rows, index, weight, additive, small, poses, first_step, spent, limit, asked, room):
+def _cull(rows, step, index, x, y, small, skipped, step_risk, near, gaps):
+    """List in near (M,) the modes that have to be looked at, with squared gaps (M,), and charge far ones their bound.
+
+    No view of an array is made here: counting references would take longer than all else.
+    """
+    negligible, quantile, _, _ = small
+    count = 0
+    for m in range(index.shape[0]):
+        weight = rows[step, m, WEIGHT]
+        if not weight > 0.0 or m == skipped:
+            continue
+        dx, dy = rows[step, m, MEAN_X] - x, rows[step, m, MEAN_Y] - y
+        if dx * dx + dy * dy > rows[step, m, CULL]:
+            continue
+        gap = 0.0
+        if negligible > 0.0:
+            c11, c12, c22 = rows[step, m, C11], rows[step, m, C12], rows[step, m, C22]
+            gap = _squared_gap(dx, dy, c11, c12, c22, rows[step, m, REACH])
+            if gap > quantile:  # every piece lies beyond a half-space as unlikely as that
+                step_risk[index[m, 0]] += weight * negligible * (index[m, 2] - index[m, 1])
+                continue
+        near[count], gaps[count] = m, gap
+        count += 1
+    return count
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _breaks(fixed, rows, index, mode, weight, additive, small, poses, first_step, spent, limit, asked, room):
     """Whether one mode alone breaks the limit; fills asked (S,) with its risks on the way."""
+    negligible, _, _, floor = small
+    minor = _MINOR if negligible > 0.0 else 0.0
+    near, gaps, nothing = np.empty(1, np.int64), np.empty(1), np.zeros(1)
+    alone = np.array([[0, index[mode, 1], index[mode, 2]]])
     for s in range(poses.shape[0]):
         x, y = poses[s, 0], poses[s, 1]
         cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
-        asked[s] = r = _mode_risk(fixed, rows[first_step + s], index, x, y, cos, sin, small, 0.0, room)
+        row = rows[first_step + s, mode]
+        nothing[0] = 0.0
+        if _cull(rows[:, mode : mode + 1], first_step + s, alone, x, y, small, -1, nothing, near, gaps):
+            first, last = index[mode, 1], index[mode, 2]
+            r = row[WEIGHT] * row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, negligible, floor, minor, room)
+        else:
+            r = nothing[0]
+        asked[s] = r
         if r > 0.0:
             spent = _spend(spent, r, additive)
         if weight * (spent if additive else -math.expm1(-spent)) > limit:
@@ -235,26 +336,6 @@ def _spend(spent, risk, additive):
     if risk < 1e-8:
         return spent + risk * (1.0 + 1e-8)  # −log(1 − r) ≤ r + r²
     return spent - math.log1p(-risk) if risk < 1.0 else np.inf
-
-
-@nb.njit(inline="always", error_model="numpy")
-def _mode_risk(fixed, row, index, x, y, cos, sin, small, spare, room):
-    """Weighted risk of one agent mode at one step, by a bound where that is at most `spare`; 0 where it is culled."""
-    weight = row[WEIGHT]
-    if not weight > 0.0:
-        return 0.0
-    dx, dy = row[MEAN_X] - x, row[MEAN_Y] - y
-    r2 = dx * dx + dy * dy
-    if r2 > row[CULL]:
-        return 0.0
-    negligible, quantile, _, floor = small
-    if negligible > 0.0:
-        gap = math.sqrt(r2) - row[REACH]
-        spread = dx * dx * row[C11] + 2.0 * dx * dy * row[C12] + dy * dy * row[C22]
-        if gap > 0.0 and gap * gap * r2 > quantile * spread:
-            return weight * negligible  # the whole shape lies beyond a half-space as unlikely as that
-    minor = _MINOR if negligible > 0.0 else 0.0
-    return weight * row_risk(fixed, row, index[1], index[2], x, y, cos, sin, spare, negligible, floor, minor, room)
 
 
 @nb.njit(cache=True, error_model="numpy")

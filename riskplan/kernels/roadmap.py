@@ -7,7 +7,7 @@ import numpy as np
 
 from riskplan.kernels.car import ACCELERATION, DECELERATION, LATERAL, SPEED, wrap
 from riskplan.kernels.dubins import along, biarc, shortest
-from riskplan.kernels.world import goal_region, swept_free
+from riskplan.kernels.world import goal_region, path_free
 
 # accelerations, relative to the limits, with which an edge is driven
 _PACES = np.array([0.0, 0.3, -0.2, 0.8, -0.6, -1.0])
@@ -95,13 +95,10 @@ def rejoin(vertices, ends, kinds, radii):
 def _free(source, curve, length, world):
     """Whether the body is off the static world all along."""
     count = int(length / world[0]) + 1
-    px, py, ph = source[0], source[1], source[2]
-    for i in range(1, count + 1):
-        qx, qy, qh = px, py, ph
-        px, py, ph = along(source[0], source[1], source[2], curve, length * i / count)
-        if not swept_free(qx, qy, qh, px, py, ph, world):
-            return False
-    return True
+    poses = np.empty((count, 3))
+    for i in range(count):
+        poses[i, 0], poses[i, 1], poses[i, 2] = along(source[0], source[1], source[2], curve, length * (i + 1) / count)
+    return path_free(source[0], source[1], source[2], poses, count, world)
 
 
 @nb.njit(inline="always", error_model="numpy")
@@ -137,24 +134,24 @@ def traverse(pose, curve, length, child, label, dt, latest, earliest, limits, wo
     fastest), see `expand`. A pending pose is driven first. Ends early in the goal. out: (S, 4) x, y, heading, speed.
     """
     steps, a, pending = int(child[1]), child[2], child[6] > 0.0
-    px, py, ph, speed, place, step = label[0], label[1], label[2], label[3], label[4], int(label[5])
+    speed, place, step = label[3], label[4], int(label[5])
     top = _cornering(curve, place, length, limits)
-    count = 0
+    count, arrived = 0, False
     for i in range(0 if label[6] > 0.0 else 1, steps if pending else steps + 1):
         if step + i > latest:
             break
         if i > 0:
             after = _faster(speed, a, dt, top)
             place, speed = place + 0.5 * (speed + after) * dt, after
-        qx, qy, qh = px, py, ph
         px, py, ph = along(pose[0], pose[1], pose[2], curve, place)
-        if not swept_free(qx, qy, qh, px, py, ph, world):
-            return -1, False
         out[count, 0], out[count, 1], out[count, 2], out[count, 3] = px, py, ph, speed
         count += 1
         if step + i >= earliest and goal_region(px, py, ph, speed, *goal) >= 0:
-            return count, True
-    return count, False
+            arrived = True
+            break
+    if not path_free(label[0], label[1], label[2], out, count, world):
+        return -1, False
+    return count, arrived
 
 
 @nb.njit(cache=True, error_model="numpy")

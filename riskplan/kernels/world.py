@@ -7,63 +7,61 @@ import numpy as np
 
 
 @nb.njit(cache=True, error_model="numpy")
-def body_free(
-    x,
-    y,
-    heading,
-    half_length,
-    half_width,
-    bounds,
-    origin,
-    cell,
-    cells_x,
-    cells_y,
-    start,
-    items,
-    segments,
-    inside,
-):
-    """Whether the rectangle touches no boundary segment and its centre is allowed; a disc where half_width < 0.
+def path_free(x0, y0, h0, poses, count, world):
+    """`body_free` at the first poses (S, ≥ 3) and between them, from (x0, y0, h0) on, at most half a body length apart.
 
-    Segments (E, 4) are bucketed in square cells: start (cells+1,), items; every segment that the body of a car centred
-    in a cell can touch is listed there. inside (cells,): whether the cell's middle is allowed; the centre's own side
-    follows from the parity of crossings between the two.
+    One loop over numbers: to pass the arrays on for every pose would take longer, by their references, than the test.
     """
-    if x < bounds[0] or y < bounds[1] or x > bounds[2] or y > bounds[3]:
-        return False
-    if segments.shape[0] == 0:
-        return inside[0]
-    i = int((x - origin[0]) / cell)
-    j = int((y - origin[1]) / cell)
-    if i < 0 or j < 0 or i >= cells_x or j >= cells_y:
-        return False
-    index = i * cells_y + j
-    mx, my = origin[0] + (i + 0.5) * cell, origin[1] + (j + 0.5) * cell
-    cos, sin = math.cos(heading), math.sin(heading)
-    odd = False
-    for n in range(start[index], start[index + 1]):
-        s = segments[items[n]]
-        if half_width < 0.0:
-            if _within(s, x, y, half_length):
+    half_length, half_width, bounds, origin, cell, cells_x, cells_y, start, items, segments, inside = world
+    everywhere = segments.shape[0] == 0
+    for pose in range(count):
+        x1, y1, h1 = poses[pose, 0], poses[pose, 1], poses[pose, 2]
+        parts = int(math.hypot(x1 - x0, y1 - y0) / half_length) + 1
+        turn = (h1 - h0 + math.pi) % (2.0 * math.pi) - math.pi
+        for part in range(1, parts + 1):
+            share = part / parts
+            x, y, heading = x0 + share * (x1 - x0), y0 + share * (y1 - y0), h0 + share * turn
+            if x < bounds[0] or y < bounds[1] or x > bounds[2] or y > bounds[3]:
                 return False
-        elif _clips(s, x, y, cos, sin, half_length, half_width):
-            return False
-        if _crosses(x, y, mx, my, s):
-            odd = not odd
-    return inside[index] != odd
+            if everywhere:
+                if not inside[0]:
+                    return False
+                continue
+            i = int((x - origin[0]) / cell)
+            j = int((y - origin[1]) / cell)
+            if i < 0 or j < 0 or i >= cells_x or j >= cells_y:
+                return False
+            index = i * cells_y + j
+            odd = False
+            if start[index] < start[index + 1]:
+                mx, my = origin[0] + (i + 0.5) * cell, origin[1] + (j + 0.5) * cell
+                cos, sin = math.cos(heading), math.sin(heading)
+                for n in range(start[index], start[index + 1]):
+                    e = items[n]
+                    s = segments[e, 0], segments[e, 1], segments[e, 2], segments[e, 3]
+                    if half_width < 0.0:
+                        if _within(s, x, y, half_length):
+                            return False
+                    elif _clips(s, x, y, cos, sin, half_length, half_width):
+                        return False
+                    if _crosses(x, y, mx, my, s):
+                        odd = not odd
+            if inside[index] == odd:
+                return False
+        x0, y0, h0 = x1, y1, h1
+    return True
 
 
 @nb.njit(cache=True, error_model="numpy")
-def swept_free(x0, y0, h0, x1, y1, h1, world):
-    """`body_free` at (x1, y1, h1) and between it and (x0, y0, h0), at most half a body length apart."""
-    distance = math.hypot(x1 - x0, y1 - y0)
-    count = int(distance / world[0]) + 1
-    turn = (h1 - h0 + math.pi) % (2.0 * math.pi) - math.pi
-    for i in range(1, count + 1):
-        share = i / count
-        if not body_free(x0 + share * (x1 - x0), y0 + share * (y1 - y0), h0 + share * turn, *world):
-            return False
-    return True
+def body_free(x, y, heading, world):
+    """Whether the rectangle touches no boundary segment and its centre is allowed; a disc where half_width < 0.
+
+    `world` is packed (see `riskplan.world`): half_length, half_width, bounds, origin, cell, cells_x, cells_y, start,
+    items, segments, inside. Segments (E, 4) are bucketed in square cells: start (cells+1,), items; every segment that
+    the body of a car centred in a cell can touch is listed there. inside (cells,): whether the cell's middle is
+    allowed; the centre's own side follows from the parity of crossings between the two.
+    """
+    return path_free(x, y, heading, np.array([[x, y, heading]]), 1, world)
 
 
 @nb.njit(inline="always", error_model="numpy")

@@ -14,7 +14,7 @@ from checkers.validate import Array
 from riskplan.kernels.car import lane_frame
 from riskplan.kernels.motion import extend
 from riskplan.kernels.steer import STATE
-from riskplan.kernels.world import swept_free
+from riskplan.kernels.world import path_free
 from riskplan.search import Problem
 
 _STANDS = 0.3  # below that speed a body keeps its lane's direction [m/s]
@@ -104,7 +104,7 @@ class PlaceTime:
         heading = math.atan2(dy, dx) if speed > _STANDS else p.start_state[2]
         if speed <= _STANDS:
             heading = lane_frame(a[0], a[1], heading, p.world.lanes)[0]
-        if not swept_free(a[0], a[1], heading, b[0], b[1], heading, p.world.packed):
+        if not path_free(a[0], a[1], heading, np.array([[b[0], b[1], heading]]), 1, p.world.packed):
             return False
         first, last = int(a[2] / dt + 1e-9) + 1, int(b[2] / dt + 1e-9)
         if last < first or not p.scenario.agents:

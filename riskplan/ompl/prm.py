@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 from ompl import base as ob
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from checkers import InputError
 from checkers.validate import Array
-from riskplan.kernels.roadmap import CHILD, CHILDREN, connect, expand, traverse
+from riskplan.kernels.roadmap import CHILD, CHILDREN, expand, traverse
+from riskplan.ompl.attached import AttachedEdges, free_goals
 from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler
 from riskplan.ompl.validity import RiskMotionValidator
 from riskplan.search import Budget, Problem, SearchResult
@@ -26,6 +25,8 @@ TOGETHER = 5  # arrivals within so many steps are alike
 _FAILURES = 0.3  # children of a label that fail put the others back by a step
 _UNCONNECTED = 500  # labels made on a roadmap that does not lead to the goal
 _KEPT = 4  # labels kept per vertex, step and speed
+_SAFER = 0.3  # without a bound: share of the least risk seen that is looked for next
+_LAST = 1e9  # rank of what is riskier, above all times
 _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
 
 
@@ -139,7 +140,7 @@ class Query:
         self.problem, self.budget = problem, budget
         self.validator = _motion_validator(problem)
         self.limits = np.array(curve_limits(problem.scenario.vehicle))
-        self.edges = _Edges(problem, roadmap, _free_goals(problem, rng, 48))
+        self.edges = AttachedEdges(problem, roadmap, free_goals(problem, rng, 48))
         self.out = np.empty((problem.goal.latest + 2, 4))
         self.room = np.empty((10 * EDGES * CHILDREN + 1, CHILD))
         # where no edges lead to the goal one may pass it on the way; more vertices are the better bet
@@ -155,7 +156,11 @@ class Query:
         seen: dict[tuple[int, ...], list[Array]] = {}
         heap: list[tuple[float, float, int, int, tuple[float, ...]]] = []
         failed: dict[int, int] = {}
-        serial, best = 0, -1
+        serial, best, aim = 0, -1, np.inf
+
+        def ranked(number: int, child: Sequence[float]) -> float:
+            total = self.labels[number].total
+            return child[3] // TOGETHER if total <= aim else _LAST + _decade(total)
 
         def push(number: int) -> None:
             nonlocal serial
@@ -163,8 +168,7 @@ class Query:
             for child in self.children(label):
                 serial += 1
                 after = min(label.step + child[1], p.goal.latest)
-                rank = child[3] // TOGETHER if budget.bound is not None else _decade(label.total)
-                heapq.heappush(heap, (rank, -after, serial, number, tuple(child)))
+                heapq.heappush(heap, (ranked(number, child), -after, serial, number, tuple(child)))
 
         push(0)
         while heap and len(self.labels) < self.most and not budget.over():
@@ -190,6 +194,11 @@ class Query:
                 best = len(self.labels) - 1
                 if budget.found(label.total):
                     break
+                # without a bound: much safer ones next, as if they were the first, and then by risk
+                aim = _SAFER * label.total
+                heap = [(ranked(*each[3:]), *each[1:]) for each in heap]
+                heapq.heapify(heap)
+                seen.clear()
             else:
                 push(len(self.labels) - 1)
         return self.result(best)
@@ -270,80 +279,6 @@ class Query:
         return np.array(rows).reshape(-1, 5)
 
 
-class _Out(NamedTuple):
-    """Edges out of a vertex: targets, curves, lengths, whether they end in a goal pose.
-
-    And, from there to the goal, a lower bound of the distance and the way along the roadmap.
-    """
-
-    ends: np.ndarray
-    curves: Array
-    lengths: Array
-    final: np.ndarray
-    away: Array
-    road: Array
-
-
-class _Edges:
-    """The roadmap's edges, and those from the start and into the goal.
-
-    Attributes:
-        poses: (V + G + 1, 3) of the roadmap's vertices, poses in the goal, and the start.
-        source: the start's number.
-        distance: (V + G + 1,) from there to the goal at least.
-        road: (V + G + 1,) way along edges to the goal [m]; where there is none a guess, longer than any.
-        connected: whether edges lead from the start to the goal.
-    """
-
-    def __init__(self, problem: Problem, roadmap: Roadmap, goals: Array) -> None:
-        r, start, first = roadmap, np.array([problem.start_state[:3]]), len(roadmap.vertices)
-        self.roadmap = roadmap
-        self.poses = np.concatenate([r.vertices, goals, start])
-        self.source = first + len(goals)
-        self.distance = problem.goal.box_distances(self.poses[:, :2])
-        scale = r.radii, r.shortest, r.longest
-        world = problem.world.packed
-        into, _, *last = connect(r.vertices, goals, *scale, 8, world)
-        out, _, *begun = connect(start, self.poses[: self.source], *scale, 10 * EDGES, world)
-        parts = zip(
-            (r.ends, r.curves, r.lengths),
-            (into + [0, first], *last),
-            (out + [self.source, 0], *begun),
-            strict=True,
-        )
-        ends, self._curves, self._lengths = (np.concatenate(part) for part in parts)
-        order = np.argsort(ends[:, 0], kind="stable")
-        self._ends, self._curves, self._lengths = ends[order], self._curves[order], self._lengths[order]
-        self._rows = np.searchsorted(self._ends[:, 0], np.arange(self.source + 2))
-        road = self._along()
-        self.connected = bool(np.isfinite(road[self.source]))
-        known = road[np.isfinite(road)].max(initial=0.0)
-        self.road = np.where(np.isfinite(road), road, known + self.distance)
-        self._known: dict[int, _Out] = {}
-
-    def _along(self) -> Array:
-        """(V + G + 1,) shortest ways to a pose in the goal, infinite where there is none."""
-        size, first = self.source + 2, len(self.roadmap.vertices)
-        goals = np.arange(first, self.source)
-        # edges the other way, and from one more vertex to every goal pose
-        tails = np.concatenate([self._ends[:, 1], np.full(len(goals), size - 1)])
-        heads = np.concatenate([self._ends[:, 0], goals])
-        lengths = np.concatenate([self._lengths, np.full(len(goals), 1e-9)])
-        graph = csr_matrix((lengths, (tails, heads)), shape=(size, size))
-        ways: Array = dijkstra(graph, indices=np.array([size - 1]))[0, : size - 1]
-        return ways
-
-    def out_of(self, vertex: int) -> _Out:
-        """The edges out of a vertex."""
-        if vertex not in self._known:
-            own = slice(self._rows[vertex], self._rows[vertex + 1])
-            ends = np.ascontiguousarray(self._ends[own, 1])
-            final = (ends >= len(self.roadmap.vertices)) & (ends < self.source)
-            ways = self.distance[ends], self.road[ends]
-            self._known[vertex] = _Out(ends, self._curves[own], self._lengths[own], final, *ways)
-        return self._known[vertex]
-
-
 def _motion_validator(problem: Problem) -> RiskMotionValidator:
     """Over poses and time, which is where the roadmap's edges are driven."""
     space = ob.CompoundStateSpace()
@@ -381,14 +316,3 @@ def _undominated(seen: dict[tuple[int, ...], list[Array]], key: tuple[int, ...],
 def _decade(total: float) -> float:
     """Risk in coarse classes, so that within a class the search goes deep first."""
     return float(np.floor(3.0 * np.log10(max(total, 1e-9))))
-
-
-def _free_goals(problem: Problem, rng: np.random.Generator, count: int) -> Array:
-    """Poses in the goal, free of the static world; may be fewer, or none."""
-    poses: list[tuple[float, float, float]] = []
-    for x, y, heading, speed, _ in problem.goal_samples(rng, 4 * count).tolist():
-        if len(poses) == count:
-            break
-        if problem.goal.holds(x, y, heading, speed) and problem.world.free(x, y, heading):
-            poses.append((x, y, heading))
-    return np.array(poses).reshape(-1, 3)

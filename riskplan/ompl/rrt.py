@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
@@ -14,7 +13,7 @@ from ompl import util as ou
 
 from checkers import InputError
 from checkers.validate import Array
-from riskplan.kernels.motion import extend
+from riskplan.kernels.motion import extend, extend_towards, out_of_reach
 from riskplan.kernels.steer import NODE, STATE
 from riskplan.ompl.cost import Price
 from riskplan.ompl.validity import RiskMotionValidator, RiskStateValidityChecker
@@ -23,6 +22,7 @@ from riskplan.vehicles import Vehicle
 
 # the node's number rides along in the state, too small for the metric to see
 _NUMBER = 1e-9
+_AIMED = 24  # controls of which a motion towards the goal is the best
 
 
 @dataclass(frozen=True)
@@ -65,14 +65,14 @@ class Rrt:
             pose_time=lambda state: (state[0], state[1], state[2] / weights.heading, state[4] / weights.time),
             evaluator=problem.evaluator,
         )
-        tree = Tree(problem, budget, self.motion_steps, validator, price)
+        tree = Tree(problem, budget, self.motion_steps, validator, price, seed)
         _attach(si, problem, tree)
         pdef = ob.ProblemDefinition(si)
         start = si.allocState()
         for number in range(tree.plant(problem.begun)):
             tree.write(start, number)
             pdef.addStartState(start)  # keeps a copy
-        goal = _Goal(si, problem, np.random.default_rng(seed), lambda: tree.done)
+        goal = _Goal(si, problem, np.random.default_rng(seed), tree)
         pdef.setGoal(goal)
         planner = oc.RRT(si)
         planner.setProblemDefinition(pdef)
@@ -92,6 +92,7 @@ class Tree:
         motion_steps: int,
         validator: RiskMotionValidator,
         price: Price | None = None,
+        seed: int = 0,
     ) -> None:
         self.problem, self.budget, self.validator, self.price = problem, budget, validator, price
         self.steps = motion_steps
@@ -119,7 +120,10 @@ class Tree:
             problem.world.packed,
         )
         self._goal = (goal.arrays, goal.earliest, goal.latest)
+        self._reach = (goal.boxes, vehicle.top_acceleration, vehicle.top_speed)
         self._out = np.empty((motion_steps, STATE))
+        self._rng = np.random.default_rng(seed)
+        self.aim: Array | None = None  # a state in the goal that the next motion is to lead to
 
     def plant(self, states: Array) -> int:
         """Grow the states (S, 5) of an earlier plan, as far as they are within the limit; how many nodes there are."""
@@ -143,20 +147,30 @@ class Tree:
         """OMPL's propagator: writes a new node, or marks the state invalid by a negative number."""
         del duration
         parent = round(state[5] / _NUMBER)
-        u1, u2, u3 = control[0], control[1], control[2]
-        number = -1
+        u = control[0], control[1], control[2]
+        number, fixed = -1, (self.steps, *self._fixed, *self._goal, self._out)
         self.motions += 1
-        driven, arrived = extend(
-            self._kernel, self.nodes[parent], u1, u2, u3, self.steps, *self._fixed, *self._goal, self._out
-        )
-        if driven:
+        if self.aim is None:
+            driven, arrived = extend(self._kernel, self.nodes[parent], *u, *fixed)
+        else:
+            tried = self._rng.uniform(-1.0, 1.0, (_AIMED, 3))
+            weights = self.metric.heading, self.metric.speed
+            driven, arrived, which = extend_towards(self._kernel, self.nodes[parent], tried, self.aim, weights, *fixed)
+            u, self.aim = tuple(tried[which].tolist()), None
+        if driven and (arrived or not self._lost(parent, driven)):
             number = self._charge(parent, driven, arrived)
-            self.controls[number] = u1, u2, u3
+            self.controls[number] = u
         if number < 0:
             out[0], out[1], out[2], out[3], out[4] = state[0], state[1], state[2], state[3], state[4]
             out[5] = -1.0
         else:
             self.write(out, number)
+
+    def _lost(self, parent: int, driven: int) -> bool:
+        """Whether the goal is out of reach after the motion: no way goes on from there."""
+        x, y, _, speed, _ = self._out[driven - 1].tolist()
+        left = self._goal[2] - int(self.nodes[parent, STATE]) - driven
+        return bool(out_of_reach(x, y, speed, left, self._fixed[0], *self._reach))
 
     def _charge(self, parent: int, driven: int, arrived: bool) -> int:
         if self.count == len(self.nodes):
@@ -236,20 +250,21 @@ class Tree:
 class _Goal(ob.GoalSampleableRegion):
     """Tells OMPL where to pull the tree; the arrival itself is noticed while driving."""
 
-    def __init__(self, si: Any, problem: Problem, rng: np.random.Generator, done: Callable[[], bool]) -> None:
+    def __init__(self, si: Any, problem: Problem, rng: np.random.Generator, tree: Tree) -> None:
         super().__init__(si)
         weights = np.array([1.0, 1.0, *problem.scenario.vehicle.metric])
-        self._samples = cycle((problem.goal_samples(rng, 512) * weights).tolist())
-        self._done = done
+        samples = problem.goal_samples(rng, 512)
+        self._samples = cycle(zip((samples * weights).tolist(), samples, strict=True))
+        self._tree = tree
 
     def isSatisfied(self, state: Any, distance: Any = None) -> bool:  # noqa: N802, ARG002  OMPL's name
-        return self._done()
+        return self._tree.done
 
     def distanceGoal(self, state: Any) -> float:  # noqa: N802, ARG002
-        return 0.0 if self._done() else 1.0
+        return 0.0 if self._tree.done else 1.0
 
     def sampleGoal(self, state: Any) -> None:  # noqa: N802
-        state[0], state[1], state[2], state[3], state[4] = next(self._samples)
+        (state[0], state[1], state[2], state[3], state[4]), self._tree.aim = next(self._samples)
         state[5] = 0.0
 
     def maxSampleCount(self) -> int:  # noqa: N802
