@@ -33,17 +33,15 @@ from predictor.recordings import open_data
 from predictor.train import TrainSettings
 from predictor.windows import Windows, windows
 
-# means relative to constant velocity are part of normalising: an LSTM's states are bounded, so a position that it states
-# stops short where few training tracks went further
-_NORMALISED = NetworkConfig(anchor="velocity")
+# normalised in the output too (`NetworkConfig.anchor`): what is stated is small, and as large at each step
+_NORMALISED = NetworkConfig(anchor="growing")
 _OURS = replace(_NORMALISED, weights="persistent", head="persistent")
 NETWORKS = {
     "LSTM unnormalised": NetworkConfig(normalised=False),
-    "LSTM normalised, absolute means": NetworkConfig(),
+    "LSTM normalised, absolute output": NetworkConfig(),
     "LSTM normalised": _NORMALISED,
     "LSTM normalised + ego": replace(_NORMALISED, ego_future=True),
     "LSTM normalised + ego + map": replace(_NORMALISED, ego_future=True, lanes=True),
-    "LSTM normalised, persistent modes": replace(_NORMALISED, weights="persistent"),
     "LSTM normalised, persistent head": _OURS,
     "LSTM normalised, persistent head + map": replace(_OURS, lanes=True),
     "MLP normalised, persistent head": replace(_OURS, architecture="mlp"),
