@@ -205,8 +205,12 @@ def label(weights: str) -> str:
 
 
 def keys_of(args: argparse.Namespace) -> list[tuple[str, str, str]]:
-    """What is stated of the drivers' paths; of networks with the true rectangles only."""
-    return KEYS + [(label(file), SHAPES[2], d) for file in args.weights for d in DEPENDENCE]
+    """What is stated of the drivers' paths; of networks with true rectangles only, persistent if their modes are."""
+    found = list(KEYS)
+    for file in args.weights:
+        persists = rp.LearnedPredictor.load(file).model.config.weights == "persistent"
+        found += [(label(file), SHAPES[2], d) for d in (DEPENDENCE if persists else DEPENDENCE[:2])]
+    return found
 
 
 def drives_of(path: Path, args: argparse.Namespace) -> list[Drive]:
@@ -249,7 +253,7 @@ def seen(task: HorizonTask, paths: Array, reach: float) -> tuple[rp.GaussianMixt
         away = agent.means[None, :count] - paths[:, :count, None, :2]
         if np.hypot(away[..., 0], away[..., 1]).min() < reach:
             cut = agent.at(agent.times[:count])
-            out.append(cut if cut.factors is not None else rp.persistent(cut))
+            out.append(cut if cut.factors is not None or cut.modes == "per_step" else rp.persistent(cut))
     return tuple(out)
 
 
