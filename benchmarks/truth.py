@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from scipy.stats import beta
@@ -36,6 +36,8 @@ from checkers.shapes import EgoShape
 from checkers.validate import Array
 from predictor import ConstantVelocity, Manoeuvres
 from predictor.constant_velocity import Spread
+from predictor.lanes import Lane
+from predictor.tracks import SLACK, Track
 from riskplan.io.commonroad import HorizonTask, load_commonroad
 
 DEPENDENCE = ("boole", "independent", "persistent")
@@ -90,6 +92,22 @@ class Drive:
 
 
 @dataclass(frozen=True)
+class Learned:
+    """A network for agents of which it knows enough past; the shipped manoeuvres for the others."""
+
+    network: rp.LearnedPredictor
+
+    def predict(
+        self, past: Track, times: Array, lanes: Sequence[Lane] = (), others: Sequence[Track] = ()
+    ) -> rp.GaussianMixturePrediction:
+        """As `Manoeuvres.predict`."""
+        config = self.network.model.config
+        if past.times[-1] - past.times[0] < (config.observed - 1) * config.dt - SLACK:
+            return Manoeuvres.fitted().predict(past, times, lanes, others)
+        return cast("rp.GaussianMixturePrediction", self.network.predict([past], lanes=lanes, times=times)[0])
+
+
+@dataclass(frozen=True)
 class Planned:
     """What came of planning: under (predictor, shape, dependence), its stated risk if solved, and what it met."""
 
@@ -105,6 +123,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--data", type=Path, required=True, help="directory with CommonRoad files, searched recursively"
+    )
+    parser.add_argument(
+        "--weights",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a network of positions to judge too, trained by benchmarks.prediction --fitted-on; may be repeated",
     )
     parser.add_argument("--plot", type=Path, help="picture of the reliability to write")
     parser.add_argument("--files", type=int, default=100, help="at most so many files, spread evenly")
@@ -127,7 +152,7 @@ def main(arguments: list[str] | None = None) -> int:
     if not drives:
         print(f"benchmarks.truth: no drives in {len(chosen)} files", file=sys.stderr)
         return 2
-    stated: Stated = {key: [r for _, risks, _ in done for r in risks[key]] for key in KEYS}
+    stated: Stated = {key: [r for _, risks, _ in done for r in risks[key]] for key in done[0][1]}
     agents = np.median([len(d.agents[MODES]) for d in drives])
     print(
         f"{len(drives)} drives of 3 s in {len({d.cluster for d in drives})} files, "
@@ -145,7 +170,9 @@ def main(arguments: list[str] | None = None) -> int:
 def study(path: Path, args: argparse.Namespace) -> tuple[list[Drive], Stated, list[Planned]]:
     """Drives of one file, what is stated of them, and plans for the first few."""
     drives = drives_of(path, args)
-    stated = {key: [stated_risks(d, *key, whole=key in ON_TREES) for d in drives] for key in KEYS}
+    stated = {
+        key: [stated_risks(d, *key, whole=key in ON_TREES or key not in KEYS) for d in drives] for key in keys_of(args)
+    }
     plans = [
         planned(d, (predictor, shape, dependence), bound, args.limit)
         for d in drives[: args.plans]
@@ -167,6 +194,26 @@ def held_out(files: Sequence[Path]) -> list[Path]:
     return [f for f in files if f.stem in names] or list(files)
 
 
+def predictors(weights: Sequence[str]) -> dict[str, Any]:
+    """By name; a network goes by its file's folder."""
+    ours = {PLAIN: GLOBAL, SPREAD: ConstantVelocity.fitted(), MODES: Manoeuvres.fitted()}
+    return ours | {label(file): Learned(rp.LearnedPredictor.load(file)) for file in weights}
+
+
+def label(weights: str) -> str:
+    """The name of a network's folder."""
+    return Path(weights).resolve().parent.name
+
+
+def keys_of(args: argparse.Namespace) -> list[tuple[str, str, str]]:
+    """What is stated of the drivers' paths; of networks with true rectangles only, persistent if their modes are."""
+    found = list(KEYS)
+    for file in args.weights:
+        persists = rp.LearnedPredictor.load(file).model.config.weights == "persistent"
+        found += [(label(file), SHAPES[2], d) for d in (DEPENDENCE if persists else DEPENDENCE[:2])]
+    return found
+
+
 def drives_of(path: Path, args: argparse.Namespace) -> list[Drive]:
     """Drives of one file, no driver twice within its 3 s."""
     scene = load_commonroad(path)
@@ -174,7 +221,7 @@ def drives_of(path: Path, args: argparse.Namespace) -> list[Drive]:
     for i in range(args.drives):
         seed = zlib.crc32(path.name.encode()) + args.seed + i
         tasks: dict[str, HorizonTask] = {}
-        for name, predictor in ((PLAIN, GLOBAL), (SPREAD, ConstantVelocity.fitted()), (MODES, Manoeuvres.fitted())):
+        for name, predictor in predictors(args.weights).items():
             one = scene.horizon_task(np.random.default_rng(seed), predictor=predictor)
             if one is not None:
                 tasks[name] = one
@@ -207,7 +254,7 @@ def seen(task: HorizonTask, paths: Array, reach: float) -> tuple[rp.GaussianMixt
         away = agent.means[None, :count] - paths[:, :count, None, :2]
         if np.hypot(away[..., 0], away[..., 1]).min() < reach:
             cut = agent.at(agent.times[:count])
-            out.append(cut if cut.factors is not None else rp.persistent(cut))
+            out.append(cut if cut.factors is not None or cut.modes == "per_step" else rp.persistent(cut))
     return tuple(out)
 
 
@@ -311,7 +358,7 @@ def print_tree(drives: list[Drive], stated: Stated) -> None:
         f"\n{len(hits)} paths of trees grown without other agents: {hits.mean():.3f} collided ({low:.3f} to {high:.3f})"
     )
     rows: list[list[object]] = []
-    for key in ON_TREES:
+    for key in [*ON_TREES, *(k for k in stated if k not in KEYS)]:
         risks = stated[key]
         flat = np.concatenate([r[1:] for r in risks])
         score = float(np.mean((flat - hits) ** 2))

@@ -13,7 +13,7 @@ from predictor.forecasts import Forecasts
 from predictor.metrics import region_mass
 
 LEVEL = 0.9
-KNOTS = 7
+KNOTS = 8
 TOLERANCE = 0.01
 _RANGE = (1e-3, 1e3)
 _HALVINGS = 12  # to 0.3 % of a factor
@@ -44,7 +44,10 @@ class Recalibration:
         Where many factors do so up to `TOLERANCE`, the one nearest to 1: a share often hardly depends on the factor, as
         most agents keep to a narrow course and the others are far from it, and then the data say nothing of it.
         """
-        rows = np.unique(np.linspace(0, len(forecasts.times) - 1, KNOTS).round().astype(int))
+        steps = len(forecasts.times)
+        rows = (
+            np.unique(np.geomspace(1, steps, KNOTS).round().astype(int)) - 1
+        )  # factors change most at the first steps
         times = forecasts.times[rows]
 
         def least(wanted: float) -> Array:

@@ -25,8 +25,10 @@ from checkers.validate import Array, InputError, as_option, as_scalar
 TARGETS = ("positions", "controls")
 HEADS = ("independent", "persistent")
 WEIGHTS = ("per_step", "persistent")
-ANCHORS = ("none", "velocity")
+ANCHORS = ("none", "velocity", "growing")
 ARCHITECTURES = ("lstm", "mlp")
+# what is stated with a growing anchor, relative to constant velocity, is in units that grow so with time
+GROWTH = 1.5
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,9 @@ class NetworkConfig:
         lanes, ego_future: whether lane points and the ego's future are read.
         lane_points: how many of the nearest lane points are read.
         anchor: "none", or "velocity": positions are stated relative to constant velocity, by least squares over the
-            last five observed steps, and the velocity of each observed step is read beside the position.
+            last five observed steps, and the velocity of each observed step is read beside the position; or "growing":
+            besides, deviations and spreads are stated in units that grow with time, as drivers' errors do: bounded
+            states hardly say both 0.1 m at the first step and 10 m at the last.
         observed, predicted: number of steps.
         modes: of the mixture.
         hidden: width of the MLPs and of the LSTMs.
@@ -186,19 +190,27 @@ class Head(nn.Module):
         """Mixture; `past` (N, P, 2) is what an anchor extrapolates."""
         c = self.config
         out = self.out(hidden).view(*hidden.shape[:2], c.modes, -1)  # (N, T, K, 6 + 2R)
-        logits, means = out[..., 0], out[..., 1:3]
+        logits = out[..., 0]
+        unit = self.units(out)
+        means = unit * out[..., 1:3]
         if c.weights == "persistent":
             logits = logits.mean(dim=1, keepdim=True).expand_as(logits)
-        if c.anchor == "velocity":
+        if c.anchor != "none":
             means = means + extrapolated(past, c.predicted).unsqueeze(2)
         floor = c.floor if c.target == "controls" else c.floor / c.scale
-        scales = softplus(out[..., 3:5]) + floor
-        zero = torch.zeros_like(logits)
-        roots = torch.stack([scales[..., 0], zero, out[..., 5], scales[..., 1]], dim=-1).view(*means.shape, 2)
+        scales = unit * softplus(out[..., 3:5]) + floor
+        zero, lower = torch.zeros_like(logits), unit[..., 0] * out[..., 5]
+        roots = torch.stack([scales[..., 0], zero, lower, scales[..., 1]], dim=-1).view(*means.shape, 2)
         if c.target == "controls":  # the noises of a system are independent of each other
             roots = torch.diag_embed(scales)
-        factors = out[..., 6:].reshape(*means.shape, self.rank) if self.rank else None
+        factors = (unit * out[..., 6:]).reshape(*means.shape, self.rank) if self.rank else None
         return Mixture(logits.log_softmax(dim=-1), means, roots, factors)
+
+    def units(self, out: Tensor) -> Tensor:
+        """(T, 1, 1) what is stated of each step (of `out`'s kind of numbers) counts in."""
+        steps = self.config.predicted
+        share = torch.arange(1.0, steps + 1.0, dtype=out.dtype, device=out.device)[:, None, None] / steps
+        return share**GROWTH if self.config.anchor == "growing" else torch.ones_like(share)
 
 
 class MixtureNetwork(nn.Module):
@@ -215,7 +227,7 @@ class EncoderDecoder(MixtureNetwork):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         h = config.hidden
-        self.past = mlp(4 if config.anchor == "velocity" else 2, h)
+        self.past = mlp(2 if config.anchor == "none" else 4, h)
         self.lanes = mlp(2, h) if config.lanes else None
         self.ego = mlp(2 * config.predicted, h) if config.ego_future else None
         self.encoder = nn.LSTM(h * (1 + config.lanes + config.ego_future), h, batch_first=True)
@@ -225,7 +237,7 @@ class EncoderDecoder(MixtureNetwork):
     def forward(self, inputs: Inputs) -> Mixture:
         """The mixture of each step."""
         observed = inputs.past
-        if self.config.anchor == "velocity":
+        if self.config.anchor != "none":
             observed = torch.cat([observed, velocities(observed, self.config.dt)], dim=-1)
         codes = self.past(observed)  # (N, P, H)
         context = [c.unsqueeze(1).expand_as(codes) for c in self.context(inputs)]

@@ -119,6 +119,16 @@ class TestRecalibration:
         inside = coverage(region_mass(found.apply(one), truth, np.arange(4)))
         assert np.abs(inside - np.array([[0.5], [0.9], [0.99]])).max() < 0.03
 
+    def test_holds_between_its_knots_too(self) -> None:
+        """A floor that is too wide at the first steps only, where the factors change most."""
+        rng = np.random.default_rng(6)
+        true = np.broadcast_to(0.02 * np.arange(1, 31)[None, :, None], (4000, 30, 1)) * np.ones(2)
+        stated = (true**2 + 0.1**2)[:, :, None, :, None] * np.eye(2)
+        one = forecasts_of(np.zeros((4000, 30, 1, 2)), stated, np.ones((4000, 30, 1)))
+        found = Recalibration.fitted(one, true * rng.normal(size=(4000, 30, 2)))
+        inside = coverage(region_mass(found.apply(one), true * rng.normal(size=(4000, 30, 2)), np.arange(30)))[1]
+        assert np.abs(inside - 0.9).max() < 0.03
+
     def test_keeps_correlations_over_time(self) -> None:
         factors = np.random.default_rng(4).normal(size=(1, 4, 1, 2, 2))
         own = factors @ np.swapaxes(factors, -1, -2) + np.eye(2)

@@ -28,7 +28,7 @@ from predictor.loss import (  # noqa: E402
     marginal_log_likelihood,
     nll,
 )
-from predictor.network import Inputs, Mixture, NetworkConfig, extrapolated, parameters, velocities  # noqa: E402
+from predictor.network import Head, Inputs, Mixture, NetworkConfig, extrapolated, parameters, velocities  # noqa: E402
 from predictor.train import Examples, TrainSettings, evaluate, mirrored, train  # noqa: E402
 
 
@@ -152,7 +152,9 @@ class TestNetwork:
         assert parameters(network) == mlps + 2 * lstm + 18 * 33
 
     @pytest.mark.parametrize("architecture", ["lstm", "mlp"])
-    @pytest.mark.parametrize("extra", [{}, {"lanes": True, "ego_future": True}, {"anchor": "velocity"}])
+    @pytest.mark.parametrize(
+        "extra", [{}, {"lanes": True, "ego_future": True}, {"anchor": "velocity"}, {"anchor": "growing"}]
+    )
     @pytest.mark.parametrize("base", [SMALL, PERSISTENT])
     def test_states_a_mixture_with_positive_definite_covariances(self, base, extra, architecture) -> None:
         config = replace(base, architecture=architecture, **extra)
@@ -187,6 +189,20 @@ class TestNetwork:
         past = torch.tensor([[[float(t), 2.0] for t in range(-5, 1)]])
         expected = torch.tensor([[[1.0, 2.0], [2.0, 2.0]]])
         torch.testing.assert_close(extrapolated(past, 2), expected)
+
+    @pytest.mark.parametrize("base", [SMALL, PERSISTENT])
+    def test_a_growing_anchor_states_the_same_in_units_that_grow(self, base: NetworkConfig) -> None:
+        plain, growing = (Head(replace(base, anchor=a), 8) for a in ("velocity", "growing"))
+        growing.load_state_dict(plain.state_dict())
+        hidden, past = torch.rand(2, 5, 8), torch.rand(2, 6, 2)
+        with torch.no_grad():
+            one, other = plain(hidden, past), growing(hidden, past)
+        course, units = extrapolated(past, 5).unsqueeze(2), (torch.arange(1.0, 6.0) / 5).view(5, 1, 1) ** 1.5
+        torch.testing.assert_close(other.means - course, units * (one.means - course))
+        floor = torch.eye(2) * base.floor / base.scale
+        torch.testing.assert_close(other.roots - floor, units[..., None] * (one.roots - floor))
+        if one.factors is not None and other.factors is not None:
+            torch.testing.assert_close(other.factors, units[..., None] * one.factors)
 
     def test_missing_inputs_and_unknown_settings_are_named(self) -> None:
         network = build(replace(SMALL, ego_future=True))

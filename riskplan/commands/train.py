@@ -30,7 +30,9 @@ def add(to: argparse.ArgumentParser) -> None:
     to.add_argument("--target", default="positions", metavar="NAME", help="positions or controls")
     to.add_argument("--architecture", default="lstm", metavar="NAME", help="lstm or mlp")
     to.add_argument("--head", default="persistent", metavar="NAME", help="errors over time: persistent or independent")
-    to.add_argument("--anchor", default="velocity", metavar="NAME", help="means relative to: velocity, none")
+    to.add_argument(
+        "--anchor", default="growing", metavar="NAME", help="output relative to velocity: growing, velocity, none"
+    )
     to.add_argument("--lanes", action="store_true", help="read lane centre lines")
     to.add_argument("--ego-future", action="store_true", help="read the ego's future")
     to.add_argument("--paper", action="store_true", help="head, anchor, batch and rate of the paper")
