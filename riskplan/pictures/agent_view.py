@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
-from checkers import GaussianMixturePrediction, MomentPrediction, persistent
+from checkers import GaussianMixturePrediction, MomentPrediction, as_gaussian, persistent
 from checkers.validate import Array
 from riskplan.scene import Agent
 
@@ -39,7 +40,7 @@ class AgentView:
         weights, means, covariances: (S, K), (S, K, 2), (S, K, 2, 2) of the shown steps of the prediction.
         now: weights (T, K), means (T, K, 2) and covariances (T, K, 2, 2) at `Picture.times`.
         futures: (n, S, 2) sampled trajectories; n = 0 unless asked for, or if only moments are known.
-        dots: (N, 2) sampled positions of all shown steps; likewise.
+        dots: (N, 2) sampled positions of all shown steps; none unless asked for.
     """
 
     name: str
@@ -90,20 +91,40 @@ def _over(times: Array, own: Array, values: Array) -> Array:
 def _sampled(agent: Agent, shown: np.ndarray, detail: Detail) -> tuple[Array, Array]:
     """Futures (n, S, 2) and positions (N, 2) at the shown steps.
 
-    Positions are drawn from each step's own distribution. Futures of a Gaussian agent that does not say how its errors
-    depend on each other over time are drawn as errors that persist: lines that jump from step to step show nothing.
+    Positions are drawn from each step's own distribution; where only moments are known, from the Gaussian that has
+    them. Futures of a Gaussian agent that does not say how its errors depend on each other over time are drawn as
+    errors that persist: lines that jump from step to step show nothing. `assumed` says so in the legend.
     """
     rng = np.random.default_rng(detail.seed)
     futures, dots = np.zeros((0, len(shown), 2)), np.zeros((0, 2))
+    bare = isinstance(agent, MomentPrediction)
     if isinstance(agent, MomentPrediction):
-        return futures, dots
+        agent = as_gaussian(agent)
     if detail.density:
         dots = agent.sample(detail.density, rng)[:, shown].reshape(-1, 2)
-    if detail.samples:
-        if isinstance(agent, GaussianMixturePrediction) and agent.factors is None and agent.modes == "persistent":
-            agent = persistent(agent)
-        futures = agent.sample(detail.samples, rng)[:, shown]
+    if detail.samples and not bare:
+        futures = (persistent(agent) if _silent(agent) else agent).sample(detail.samples, rng)[:, shown]
     return futures, dots
+
+
+def _silent(agent: Agent) -> TypeGuard[GaussianMixturePrediction]:
+    """Whether it does not say how its errors depend on each other over time."""
+    return isinstance(agent, GaussianMixturePrediction) and agent.factors is None and agent.modes == "persistent"
+
+
+def assumed(agents: Sequence[Agent], detail: Detail) -> tuple[str, ...]:
+    """What dots and lines are, and what was taken for granted to draw them: lines of the legend."""
+    bare = any(isinstance(agent, MomentPrediction) for agent in agents)
+    lines = []
+    if detail.density and agents:
+        of_moments = "; of bare moments, of a Gaussian with the same mean and covariance" if bare else ""
+        lines.append(f"dots: sampled positions{of_moments}")
+    if detail.samples and not all(isinstance(agent, MomentPrediction) for agent in agents):
+        lasting = "; errors taken to persist" if any(map(_silent, agents)) else ""
+        lines.append(f"lines: sampled futures{lasting}{'; none of bare moments' if bare else ''}")
+    elif detail.samples and agents:
+        lines.append("no futures: nothing but moments is known")
+    return tuple(lines)
 
 
 def _course(points: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from checkers import EgoShape, Kind
 from checkers.validate import Array
 from riskplan.pictures import geometry, palette
-from riskplan.pictures.agent_view import AgentView, Detail, agent_view
+from riskplan.pictures.agent_view import AgentView, Detail, agent_view, assumed
 from riskplan.result import Plan
 from riskplan.rounding import by_kind
 from riskplan.scene import Scenario
@@ -28,14 +28,15 @@ class Picture:
     """Everything to draw, in local metres.
 
     Attributes:
-        title, facts: heading and (label, value) rows of the legend.
+        title, facts, notes: heading, (label, value) rows and lines of small print of the legend.
         times: (T,) of the animation [s].
         ego: (T, 3) poses; at rest without a plan.
         ego_size: length, width [m].
         ego_round: whether its body is a disc.
         ego_rings: outlines (N, 2) in the ego frame of what agents' centres must stay out of.
         path: (P, 3) poses of the plan; empty without one.
-        path_risk: (P,) risk of each step.
+        path_risk, per_step: (P,) risk of each step, and what it is called: under dependence "persistent" a step's share
+            is the probability that it is the first to be hit.
         so_far: (T,) risk up to each time, or None if the plan does not tell.
         claim: what `total risk` claims: "", "≤ " or "≈ ".
         tree: (E, 5) edges of the search x0, y0, x1, y1, time; at most 20,000, evenly picked.
@@ -48,6 +49,7 @@ class Picture:
 
     title: str
     facts: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
     times: Array
     ego: Array
     ego_size: tuple[float, float]
@@ -55,6 +57,7 @@ class Picture:
     ego_rings: tuple[Array, ...]
     path: Array
     path_risk: Array
+    per_step: str
     so_far: Array | None
     claim: str
     tree: Array
@@ -100,6 +103,7 @@ def picture(
     return Picture(
         title=title if title is not None else scenario.name or "riskplan",
         facts=_facts(plan),
+        notes=assumed(scenario.agents, detail or Detail()),
         times=times,
         ego=ego,
         ego_size=scenario.vehicle.body,
@@ -107,6 +111,7 @@ def picture(
         ego_rings=rings,
         path=path,
         path_risk=path_risk,
+        per_step="first hit per step" if risk is not None and risk.dependence == "persistent" else "risk per step",
         so_far=_so_far(scenario, plan),
         claim=_CLAIM[risk.kind] if risk is not None else "",
         tree=tree,
@@ -183,7 +188,7 @@ def legend(pic: Picture) -> list[tuple[str, palette.Ramp, str, str]]:
     risk, weight, time = pic.limits
     bars = []
     if pic.path_risk.any():
-        bars.append(("risk per step", palette.RISK, "0", palette.number(risk)))
+        bars.append((pic.per_step, palette.RISK, "0", palette.number(risk)))
     if pic.agents:
         bars.append((f"mode weight ({SIGMAS:g}σ)", palette.WEIGHT, "0", f"{weight:g}"))
     if len(pic.tree):
@@ -192,12 +197,21 @@ def legend(pic: Picture) -> list[tuple[str, palette.Ramp, str, str]]:
 
 
 def spent(scenario: Scenario, plan: Plan) -> Array:
-    """(T, A) risk of each agent up to each step of the plan, steps being independent; no columns if it does not tell.
+    """(T, A) risk of each agent up to each step of the plan; no columns if it does not tell.
 
-    `dependence="boole"` adds the steps instead.
+    Under dependence "independent" and "boole" from the plan's own marginals; "persistent" needs the sweep once more.
+
+    Raises:
+        InputError: for dependence "persistent" if the agents lack factors.
     """
     if plan.risk is None or len(plan.marginals) != len(scenario.agents):
         return np.zeros((len(plan.times), 0))
+    if plan.risk.dependence == "persistent":
+        from checkers import checker  # noqa: PLC0415
+        from riskplan.futures import make_evaluator  # noqa: PLC0415  compiles kernels
+
+        judge = make_evaluator(scenario.agents, scenario.ego, checker("exact"), scenario.times, "persistent")
+        return judge.spending(plan.poses)
     columns = []
     for agent, marginal in zip(scenario.agents, plan.marginals, strict=True):
         by_mode = np.clip(np.nan_to_num(marginal), 0.0, 1.0 - 1e-16)
@@ -205,7 +219,7 @@ def spent(scenario: Scenario, plan: Plan) -> Array:
             weights = np.stack([np.interp(plan.times, agent.times, w) for w in agent.weights.T], axis=-1)
         else:
             weights = agent.weights
-        if plan.settings.get("dependence") == "boole":
+        if plan.risk.dependence == "boole":
             columns.append(np.cumsum((weights * by_mode).sum(axis=-1)))
         elif agent.modes == "persistent":
             columns.append(-np.expm1(np.cumsum(np.log1p(-by_mode), axis=0)) @ weights)
@@ -218,7 +232,10 @@ def _so_far(scenario: Scenario, plan: Plan | None) -> Array | None:
     """(T,) risk up to each step; None unless it ends at the plan's own total."""
     if plan is None or plan.risk is None:
         return None
-    total = np.minimum(spent(scenario, plan).sum(axis=-1), 1.0)
+    if plan.risk.dependence == "independent":
+        total = np.minimum(spent(scenario, plan).sum(axis=-1), 1.0)
+    else:  # first hits, or what is added up anyway
+        total = np.minimum(np.cumsum(plan.risk.per_step), 1.0)
     return total if len(total) and np.isclose(total[-1], float(plan.risk.total), rtol=1e-6, atol=1e-15) else None
 
 
