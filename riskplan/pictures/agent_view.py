@@ -13,7 +13,8 @@ from checkers import GaussianMixturePrediction, MomentPrediction, as_gaussian, p
 from checkers.validate import Array
 from riskplan.scene import Agent
 
-_MOST_ELLIPSES = 30  # a mode: enough to see it move, few enough to see through
+_MOST_ELLIPSES, _FEWEST = 30, 5  # a mode: enough to see it move, few enough to see through
+_ALL_ELLIPSES = 4_000  # of all modes together: hundreds of agents make no page of 50 MB
 
 
 class Detail(NamedTuple):
@@ -28,6 +29,17 @@ class Detail(NamedTuple):
     samples: int = 0
     density: int = 0
     seed: int = 0
+
+
+class Frame(NamedTuple):
+    """Where a picture's origin is in the world, and how many of its metres make one of the world's."""
+
+    origin: Array
+    zoom: float = 1.0
+
+    def __call__(self, points: Array) -> Array:
+        """World points (…, 2) in the picture."""
+        return np.asarray((points - self.origin) * self.zoom)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,29 +67,37 @@ class AgentView:
     futures: Array
     dots: Array
 
+    @property
+    def rims(self) -> slice:
+        """Which of the shown steps have an outline: every fifth, more where there are few."""
+        return slice(None, None, int(np.clip(len(self.means) // 3, 1, 5)))
 
-def agent_view(agent: Agent, colour: str, times: Array, origin: Array, end: float, detail: Detail) -> AgentView:
-    """Of an agent in coordinates relative to `origin`, with its modes up to `end` [s]."""
+
+def agent_view(
+    agent: Agent, colour: str, times: Array, frame: Frame, end: float, detail: Detail, modes: int
+) -> AgentView:
+    """Of an agent, with its modes up to `end` [s]; it shares the ellipses with all `modes` of the scene."""
     likely = int(agent.step_weights.sum(axis=0).argmax())
-    at = agent.means[:, likely] - origin
+    at = frame(agent.means[:, likely])
     heading = _course(at) if agent.headings is None else np.unwrap(agent.headings[:, likely])
     track = np.column_stack([np.interp(times, agent.times, column) for column in (*at.T, heading)])
     shown = np.flatnonzero(agent.times <= end + 1e-6)
-    shown = shown[:: max(1, -(-len(shown) // _MOST_ELLIPSES))]
-    means = agent.means - origin
+    most = int(np.clip(_ALL_ELLIPSES // modes, _FEWEST, _MOST_ELLIPSES))
+    shown = shown[:: max(1, -(-len(shown) // most))]
+    means, covariances = frame(agent.means), agent.covariances * frame.zoom**2
     futures, dots = _sampled(agent, shown, detail)
     return AgentView(
         name=agent.name,
         colour=colour,
-        length=agent.length or 4.5,
-        width=agent.width or 1.8,
+        length=(agent.length or 4.5) * frame.zoom,
+        width=(agent.width or 1.8) * frame.zoom,
         track=track,
         weights=agent.step_weights[shown],
         means=means[shown],
-        covariances=agent.covariances[shown],
-        now=tuple(_over(times, agent.times, a) for a in (agent.step_weights, means, agent.covariances)),  # type: ignore[arg-type]
-        futures=futures - origin,
-        dots=dots - origin,
+        covariances=covariances[shown],
+        now=tuple(_over(times, agent.times, a) for a in (agent.step_weights, means, covariances)),  # type: ignore[arg-type]
+        futures=frame(futures),
+        dots=frame(dots),
     )
 
 

@@ -258,11 +258,13 @@ def _backdrop(axes: Axes, scenario: Scenario, time: float) -> None:
     origin = np.array([scenario.start.x, scenario.start.y])
 
     def areas(polygons: Iterable[Array], **style: Any) -> None:
-        axes.add_collection(PolyCollection([p + origin for p in polygons], **style), autolim=False)
+        axes.add_collection(PolyCollection([p / pic.zoom + origin for p in polygons], **style), autolim=False)
 
     areas(pic.road, facecolors="#c9d0d8", zorder=1)
     lines = [*pic.edges, *(dash for line in pic.dividers for dash in geometry.dashes(line))]
-    axes.add_collection(LineCollection([p + origin for p in lines], colors="white", linewidths=1.2, zorder=2))
+    axes.add_collection(
+        LineCollection([p / pic.zoom + origin for p in lines], colors="white", linewidths=1.2, zorder=2)
+    )
     areas(pic.obstacles, facecolors=palette.OBSTACLE, zorder=5)
     step = int(np.abs(pic.times - time).argmin())
     bodies = [geometry.place(geometry.rectangle(a.length, a.width), a.track[step]) for a in pic.agents]

@@ -72,7 +72,7 @@ class _Movers:
         for agent in pic.agents:
             self._modes(agent, pic.limits[1])
         for agent in pic.agents:
-            self._car(agent.track, agent.length, agent.width, agent.colour)
+            self._car(agent.track, agent.length, agent.width, agent.colour, disc=agent.length < 1.2)
         for ring in pic.ego_rings:
             fill = np.array([*palette.rgb(palette.EGO), 0.28])
             self._add(ring, pic.ego, facecolor=fill, edgecolor="#8fc0ff", linewidth=1.0, zorder=8)
@@ -117,7 +117,8 @@ class _Movers:
             self._rings.append((patch, rings[:, mode]))
 
     def _car(self, track: Array, length: float, width: float, colour: str, *, disc: bool = False) -> None:
-        if disc or length < 1.2:  # people are round from above, too
+        length, width = length * self._pic.grown, width * self._pic.grown
+        if disc:  # people are round from above, too
             outline = geometry.disc(length, width)
             self._add(outline, track, facecolor=colour, edgecolor="#ffffff", linewidth=1.0, zorder=9)
             return
@@ -224,9 +225,9 @@ def _modes(sheet: _Sheet, agent: AgentView, limit: float) -> None:
     rings = geometry.ellipses(agent.means, agent.covariances, SIGMAS)  # (S, K, n, 2)
     n = rings.shape[2]
     tint = palette.ramp(palette.WEIGHT, agent.weights / limit)
-    fill = np.concatenate([tint, palette.fill_alpha(agent.weights)[..., None]], axis=-1)
+    fill = np.concatenate([tint, palette.fill_alpha(agent.weights, agent.weights.shape[1])[..., None]], axis=-1)
     _areas(sheet, rings.reshape(-1, n, 2), 4, facecolors=fill.reshape(-1, 4), edgecolors="none")
-    rim, edge = rings[::5].reshape(-1, n, 2), tint[::5].reshape(-1, 3)
+    rim, edge = rings[agent.rims].reshape(-1, n, 2), tint[agent.rims].reshape(-1, 3)
     _areas(sheet, rim, 5, facecolors="none", edgecolors=edge, linewidths=1.3, alpha=0.85)
 
 
