@@ -49,7 +49,7 @@ def fill_alpha(weight: Any, modes: int) -> Array:
 
 def tree_alpha(edges: int) -> float:
     """Opacity of the edges of the search: the more there are, the fainter each."""
-    return float(np.clip(18.0 / np.sqrt(max(edges, 1)), 0.15, 0.6))
+    return float(np.clip(16.0 / np.sqrt(max(edges, 1)), 0.1, 0.6))
 
 
 def futures_alpha(lines: int) -> float:

@@ -215,9 +215,9 @@ def legend(pic: Picture) -> list[tuple[str, palette.Ramp, str, str]]:
     bars = []
     if pic.path_risk.any():
         bars.append((pic.per_step, palette.RISK, "0", palette.number(risk)))
-    if pic.agents:
+    if any((agent.weights < 1.0).any() or agent.covariances.max() > geometry.SPECK**2 for agent in pic.agents):
         bars.append((f"mode weight ({SIGMAS:g}σ)", palette.WEIGHT, "0", f"{weight:g}"))
-    if len(pic.tree):
+    if len(pic.tree) and time > 0:
         bars.append(("search", palette.TIME, "0 s", f"{time:.3g} s"))
     return bars
 
