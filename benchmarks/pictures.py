@@ -1,11 +1,15 @@
-"""Time and size of pictures of the demo scene: `python -m benchmarks.pictures [--repeats N] [--no-3d]`.
+"""Time and size of pictures of the demo scene: `python -m benchmarks.pictures [--repeats N] [--no-3d] [--demos]`.
 
 Each is drawn in this process after one warm-up draw (imports, compilation); the bytes of all runs are compared. The
 aims are those of the project's issue 8. A film has one frame per step of the plan. On a busy machine the CPU column
-says more, where no browser is at work.
+says more, where no browser is at work. `--demos` runs the demos of the gallery instead, each in a process of its own,
+after one run that compiles.
 """
 
 import argparse
+import os
+import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,13 +29,19 @@ CASES: tuple[tuple[str, str, dict, float | None, float | None], ...] = (
     ("3-D, film 960 x 480", "film.mp4", {"view": "3d"}, None, None),
 )
 
+DEMOS = ("overtake", "left_turn", "crowd", "backends", "controls", "requery", "closed_loop")
+
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Plan once, draw each picture `repeats` times, print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=3, help="draws of each, at least 2; default 3")
     parser.add_argument("--no-3d", action="store_true", help="only what needs no browser")
+    parser.add_argument("--demos", action="store_true", help="the demos' time instead; aim 20 s each")
     args = parser.parse_args(argv)
+    if args.demos:
+        time_demos(args.repeats)
+        return
     scenario = rp.load_scenario(Path(rp.__file__).parent / "data" / "overtake.yaml")
     plan = rp.plan(scenario, planner="rrt", checker="exact", bound=0.01, time_limit=10.0, seed=0)
     print(f"{plan.message}; {len(plan.times)} steps, {len(plan.search)} edges of the search; {browser.find()}\n")
@@ -54,6 +64,24 @@ def main(argv: Sequence[str] | None = None) -> None:
             limit = f"{size:.2f}" + (f" (≤ {largest:g})" if largest else "")
             times = f"{min(seconds):.2f} | {sorted(seconds)[len(seconds) // 2]:.2f} | {min(own):.2f} | {aim or ''}"
             print(f"| {name} | {Path(file).suffix} | {times} | {limit} | {'yes' if len(contents) == 1 else 'NO'} |")
+
+
+def time_demos(repeats: int) -> None:
+    """Seconds of each demo of the gallery, imports included."""
+    root = Path(rp.__file__).parent.parent
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    print("| demo | lines | best [s] | CPU without the browser [s] |\n|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "riskplan").symlink_to(root / "riskplan")
+        for name in DEMOS:
+            script, seconds, own = root / "demos" / f"{name}.py", [], []
+            for _ in range(1 + max(1, repeats)):
+                began, busy = perf_counter(), os.times().children_user
+                subprocess.run([sys.executable, script], cwd=folder, env=environment, check=True, capture_output=True)
+                seconds.append(perf_counter() - began)
+                own.append(os.times().children_user - busy)
+            lines = len(script.read_text().splitlines())
+            print(f"| {name} | {lines} | {min(seconds[1:]):.1f} | {min(own[1:]):.1f} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -86,8 +86,7 @@ def _value(backend: rp.Checker, modes: Modes) -> Array:
 
 def plot(path: Path, poses: Array, predictions: tuple[rp.GaussianMixturePrediction, ...]) -> None:
     """The scenario with the most steps of risk between 1e-8 and 0.1, step by step."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from riskplan.pictures import plots  # noqa: PLC0415
 
     shown = []
     for pose, pred in zip(poses, predictions, strict=True):
@@ -95,18 +94,17 @@ def plot(path: Path, poses: Array, predictions: tuple[rp.GaussianMixturePredicti
         shown.append(np.count_nonzero((risk > 1e-8) & (risk < 0.1)))
     pick = int(np.argmax(shown))
     pose, pred = poses[pick], predictions[pick]
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    lines: list[tuple[str, dict[str, Any]]] = [("chebyshev", {}), *[("sos", {"order": n}) for n in (2, 4, 6)]]
-    for name, options in [*lines, ("projected-sos", {"order": 8}), ("exact", {})]:
+    figure, axes = plots.blank("time [s]", "risk of the step", (7.0, 4.2))
+    lines: list[tuple[str, dict[str, Any]]] = [("sos", {"order": n}) for n in (2, 4, 6)]
+    # order 2 is Chebyshev's bound: dashed, so that both are seen
+    styles = {"exact": {"color": "black", "lw": 2.2}, "chebyshev": {"color": "#14181d", "ls": (0, (3, 4)), "lw": 1.6}}
+    for i, (name, options) in enumerate([*lines, ("projected-sos", {"order": 8}), ("chebyshev", {}), ("exact", {})]):
         value = (pred.weights * rp.checker(name, **options)(pose, pred, EGO).value).sum(axis=1)
-        style = {"color": "black", "linewidth": 2} if name == "exact" else {}
+        style = styles.get(name, {"color": plots.COLOURS[i % len(plots.COLOURS)], "lw": 2.0})
         axes.semilogy(pred.times, value, label=" ".join([name, *map(str, options.values())]), **style)
-    axes.set(xlabel="time [s]", ylabel="risk of the step", ylim=(1e-5, 2))
-    axes.legend(loc="lower left", fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+    axes.set(ylim=(1e-5, 2), xlim=(pred.times[0], pred.times[-1]))
+    figure.legend(loc="outside upper center", ncols=6, frameon=False, fontsize=8.5)
+    plots.save(figure, path)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ def seen(track: rp.Track, times: np.ndarray) -> rp.GaussianMixturePrediction:
 def main() -> None:
     """Drive, say how it went, draw."""
     scenario = rp.load_scenario("riskplan/data/overtake.yaml")
-    drive = rp.simulate(scenario, planner="rrt", bound=0.2, replan=0.5, time_limit=2.0, seed=3)
+    drive = rp.simulate(scenario, planner="rrt", bound=0.2, replan=0.5, time_limit=2.0, seed=4)
     print(
         f"{drive.status} after {drive.times[-1]:.1f} s and {drive.progress:.0f} m, {len(drive.cycles)} decisions: "
         + ", ".join(f"{drive.share(action):.0%} {action}" for action in ("kept", "planned", "fallback"))
@@ -37,10 +37,10 @@ def main() -> None:
         search=np.concatenate(plans),
     )
     true = scenario.with_agents([seen(track, scenario.times) for track in drive.tracks])
-    rp.render(true, driven, "out/demos/closed-loop.html", title="closed loop: driven, and every plan on the way")
-    rp.render(
-        true, driven, "out/demos/closed-loop.png", time=2.0, title="closed loop: driven, and every plan on the way"
-    )
+    anew = sum(c.action != "kept" for c in drive.cycles)
+    title = f"closed loop: {len(drive.cycles)} decisions, {anew} new ways, by when they were made"
+    rp.render(true, driven, "out/demos/closed-loop.html", title=title)
+    rp.render(true, driven, "out/demos/closed-loop.png", time=2.0, title=title)
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ def main() -> None:
             print(f"{verdict.checker}: {verdict.kind} {verdict.risk.total:.3g}")
         print(f"simulated futures that collide: {report.sampled.total:.2g}, interval {report.sampled.interval}")
     rp.render(scenario, plan, "out/demos/controls.html", density=150)
-    rp.render(scenario, plan, "out/demos/controls.png", time=2.0, density=400)
+    rp.render(scenario, plan, "out/demos/controls.png", time=2.0, density=400, view="top", size=(1200, 660))
 
 
 if __name__ == "__main__":

@@ -12,9 +12,9 @@ def main() -> None:
     scenario = rp.load_scenario("riskplan/data/overtake.yaml")
     plan = rp.plan(scenario, planner="rrt", checker="exact", bound=0.05, time_limit=10.0, seed=0)
     print(plan.message)
-    middle = 2.2  # what the stills show [s]
+    middle = 2.2  # what map and top view show [s]
     rp.render(scenario, plan, f"{FOLDER}/overtake.html", samples=50)
-    rp.render(scenario, plan, f"{FOLDER}/overtake.png", time=middle, size=(1280, 640))
+    rp.render(scenario, plan, f"{FOLDER}/overtake.png", time=0.8, size=(1280, 640))
     rp.render(scenario, plan, f"{FOLDER}/overtake-top.png", time=middle, view="top")
     found = rp.risk_map(scenario, middle, spacing=0.25, window=(-10.0, -1.75, 90.0, 8.75))
     rp.plots.save(rp.plots.risk_map(found, scenario, plan), f"{FOLDER}/overtake-map.png")

@@ -374,27 +374,6 @@ def test_a_live_visualiser_of_the_user_is_drawn_into(scenario, plan, capsys):
     assert {"road", "plan/ribbon", "ego/body", "agents/1-truck/body", "samples/0/futures", "samples/2/dots"} <= drawn
 
 
-def test_moments_have_no_samples_and_gaussians_do(scenario, plan):
-    from riskplan.pictures.agent_view import Detail
-
-    mixed = dataclasses.replace(scenario, agents=(scenario.agents[0], scenario.agents[1].moments(4)))
-    known, moments = picture(mixed, plan, None, Detail(7, 5, 0)).agents
-    assert known.futures.shape[0] == 7
-    assert len(known.dots) == 5 * known.futures.shape[1]
-    assert moments.futures.shape[0] == 0
-    assert len(moments.dots) == 0
-    np.testing.assert_allclose(moments.covariances, scenario.agents[1].covariances[::3][: len(moments.covariances)])
-
-
-def test_sampled_positions_have_the_moments_of_the_prediction(scenario):
-    from riskplan.pictures.agent_view import Detail
-
-    agent = picture(scenario, None, None, Detail(0, 4000, 1)).agents[1]
-    dots = agent.dots.reshape(4000, -1, 2)[:, -1]
-    mean = (agent.weights[-1][:, None] * agent.means[-1]).sum(axis=0)
-    np.testing.assert_allclose(dots.mean(axis=0), mean, atol=0.4)
-
-
 def test_a_page_of_many_agents_stays_readable(scenario, plan, tmp_path):
     many = dataclasses.replace(scenario, agents=scenario.agents * 4)
     text = render(many, None, tmp_path / "many.html").read_text()

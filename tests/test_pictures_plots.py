@@ -71,7 +71,7 @@ def test_budget_ends_at_the_total_of_the_plan(scenario, plan):
 
 
 def test_boole_spends_the_sum_of_the_steps(scenario, plan):
-    boole = dataclasses.replace(plan, settings={"dependence": "boole"})
+    boole = dataclasses.replace(plan, risk=dataclasses.replace(plan.risk, dependence="boole"))
     sums = [(m @ a.weights).sum() for m, a in zip(plan.marginals, scenario.agents, strict=True)]
     np.testing.assert_allclose(spent(scenario, boole)[-1], sums)
 

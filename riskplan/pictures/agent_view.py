@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
-from checkers import GaussianMixturePrediction, MomentPrediction, persistent
+from checkers import GaussianMixturePrediction, MomentPrediction, as_gaussian, persistent
 from checkers.validate import Array
 from riskplan.scene import Agent
 
-_MOST_ELLIPSES = 30  # a mode: enough to see it move, few enough to see through
+_MOST_ELLIPSES, _FEWEST = 30, 5  # a mode: enough to see it move, few enough to see through
+_ALL_ELLIPSES = 4_000  # of all modes together: hundreds of agents make no page of 50 MB
 
 
 class Detail(NamedTuple):
@@ -29,6 +31,17 @@ class Detail(NamedTuple):
     seed: int = 0
 
 
+class Frame(NamedTuple):
+    """Where a picture's origin is in the world, and how many of its metres make one of the world's."""
+
+    origin: Array
+    zoom: float = 1.0
+
+    def __call__(self, points: Array) -> Array:
+        """World points (…, 2) in the picture."""
+        return np.asarray((points - self.origin) * self.zoom)
+
+
 @dataclass(frozen=True, eq=False)
 class AgentView:
     """One agent.
@@ -39,7 +52,7 @@ class AgentView:
         weights, means, covariances: (S, K), (S, K, 2), (S, K, 2, 2) of the shown steps of the prediction.
         now: weights (T, K), means (T, K, 2) and covariances (T, K, 2, 2) at `Picture.times`.
         futures: (n, S, 2) sampled trajectories; n = 0 unless asked for, or if only moments are known.
-        dots: (N, 2) sampled positions of all shown steps; likewise.
+        dots: (N, 2) sampled positions of all shown steps; none unless asked for.
     """
 
     name: str
@@ -54,29 +67,37 @@ class AgentView:
     futures: Array
     dots: Array
 
+    @property
+    def rims(self) -> slice:
+        """Which of the shown steps have an outline: every fifth, more where there are few."""
+        return slice(None, None, int(np.clip(len(self.means) // 3, 1, 5)))
 
-def agent_view(agent: Agent, colour: str, times: Array, origin: Array, end: float, detail: Detail) -> AgentView:
-    """Of an agent in coordinates relative to `origin`, with its modes up to `end` [s]."""
+
+def agent_view(
+    agent: Agent, colour: str, times: Array, frame: Frame, end: float, detail: Detail, modes: int
+) -> AgentView:
+    """Of an agent, with its modes up to `end` [s]; it shares the ellipses with all `modes` of the scene."""
     likely = int(agent.step_weights.sum(axis=0).argmax())
-    at = agent.means[:, likely] - origin
+    at = frame(agent.means[:, likely])
     heading = _course(at) if agent.headings is None else np.unwrap(agent.headings[:, likely])
     track = np.column_stack([np.interp(times, agent.times, column) for column in (*at.T, heading)])
     shown = np.flatnonzero(agent.times <= end + 1e-6)
-    shown = shown[:: max(1, -(-len(shown) // _MOST_ELLIPSES))]
-    means = agent.means - origin
+    most = int(np.clip(_ALL_ELLIPSES // modes, _FEWEST, _MOST_ELLIPSES))
+    shown = shown[:: max(1, -(-len(shown) // most))]
+    means, covariances = frame(agent.means), agent.covariances * frame.zoom**2
     futures, dots = _sampled(agent, shown, detail)
     return AgentView(
         name=agent.name,
         colour=colour,
-        length=agent.length or 4.5,
-        width=agent.width or 1.8,
+        length=(agent.length or 4.5) * frame.zoom,
+        width=(agent.width or 1.8) * frame.zoom,
         track=track,
         weights=agent.step_weights[shown],
         means=means[shown],
-        covariances=agent.covariances[shown],
-        now=tuple(_over(times, agent.times, a) for a in (agent.step_weights, means, agent.covariances)),  # type: ignore[arg-type]
-        futures=futures - origin,
-        dots=dots - origin,
+        covariances=covariances[shown],
+        now=tuple(_over(times, agent.times, a) for a in (agent.step_weights, means, covariances)),  # type: ignore[arg-type]
+        futures=frame(futures),
+        dots=frame(dots),
     )
 
 
@@ -90,20 +111,40 @@ def _over(times: Array, own: Array, values: Array) -> Array:
 def _sampled(agent: Agent, shown: np.ndarray, detail: Detail) -> tuple[Array, Array]:
     """Futures (n, S, 2) and positions (N, 2) at the shown steps.
 
-    Positions are drawn from each step's own distribution. Futures of a Gaussian agent that does not say how its errors
-    depend on each other over time are drawn as errors that persist: lines that jump from step to step show nothing.
+    Positions are drawn from each step's own distribution; where only moments are known, from the Gaussian that has
+    them. Futures of a Gaussian agent that does not say how its errors depend on each other over time are drawn as
+    errors that persist: lines that jump from step to step show nothing. `assumed` says so in the legend.
     """
     rng = np.random.default_rng(detail.seed)
     futures, dots = np.zeros((0, len(shown), 2)), np.zeros((0, 2))
+    bare = isinstance(agent, MomentPrediction)
     if isinstance(agent, MomentPrediction):
-        return futures, dots
+        agent = as_gaussian(agent)
     if detail.density:
         dots = agent.sample(detail.density, rng)[:, shown].reshape(-1, 2)
-    if detail.samples:
-        if isinstance(agent, GaussianMixturePrediction) and agent.factors is None and agent.modes == "persistent":
-            agent = persistent(agent)
-        futures = agent.sample(detail.samples, rng)[:, shown]
+    if detail.samples and not bare:
+        futures = (persistent(agent) if _silent(agent) else agent).sample(detail.samples, rng)[:, shown]
     return futures, dots
+
+
+def _silent(agent: Agent) -> TypeGuard[GaussianMixturePrediction]:
+    """Whether it does not say how its errors depend on each other over time."""
+    return isinstance(agent, GaussianMixturePrediction) and agent.factors is None and agent.modes == "persistent"
+
+
+def assumed(agents: Sequence[Agent], detail: Detail) -> tuple[str, ...]:
+    """What dots and lines are, and what was taken for granted to draw them: lines of the legend."""
+    bare = any(isinstance(agent, MomentPrediction) for agent in agents)
+    lines = []
+    if detail.density and agents:
+        of_moments = "; of bare moments, of a Gaussian with the same mean and covariance" if bare else ""
+        lines.append(f"dots: sampled positions{of_moments}")
+    if detail.samples and not all(isinstance(agent, MomentPrediction) for agent in agents):
+        lasting = "; errors taken to persist" if any(map(_silent, agents)) else ""
+        lines.append(f"lines: sampled futures{lasting}{'; none of bare moments' if bare else ''}")
+    elif detail.samples and agents:
+        lines.append("no futures: nothing but moments is known")
+    return tuple(lines)
 
 
 def _course(points: Array) -> Array:

@@ -22,11 +22,10 @@ STILL, MOVING = (1280, 640), (960, 480)
 
 
 def still(pic: Picture, size: tuple[int, int] | None = None, step: int = 0) -> Pixels:
-    """(H, W, 3) at `Picture.times[step]`; twice as fine in both directions, then reduced."""
+    """(H, W, 4) at `Picture.times[step]`."""
     size = size or STILL
     camera = overlay.view(pic, size)
-    (image,) = _shots(pic, size, camera, [step], -camera.target[None], halved=False)
-    return _lettered([image.resize(size, Image.Resampling.LANCZOS)], pic, size, camera, [step])[0]
+    return _lettered(_shots(pic, size, camera, [step], -camera.target[None], samples=4), pic, size, camera, [step])[0]
 
 
 def moving(pic: Picture, size: tuple[int, int] | None = None, *, following: bool = True) -> tuple[list[Pixels], Array]:
@@ -39,7 +38,7 @@ def moving(pic: Picture, size: tuple[int, int] | None = None, *, following: bool
     else:
         camera = overlay.view(pic, size)
         places = np.tile(-camera.target, (len(steps), 1))
-    images = _shots(pic, size, camera, steps.tolist(), places, halved=True)
+    images = _shots(pic, size, camera, steps.tolist(), places)
     return _lettered(images, pic, size, camera, steps.tolist()), pic.times[steps]
 
 
@@ -56,13 +55,13 @@ def _lettered(
 
 
 def _shots(
-    pic: Picture, size: tuple[int, int], camera: Camera, steps: Sequence[int], places: Array, *, halved: bool
+    pic: Picture, size: tuple[int, int], camera: Camera, steps: Sequence[int], places: Array, *, samples: int = 1
 ) -> list[Image.Image]:
-    """RGB images at the steps, the scene moved to `places` (N, 3); of twice the size unless halved by the browser."""
+    """RGB images at the steps, the scene moved to `places` (N, 3); `samples` of each pixel on top of its quarters."""
     data = {
         "commands": [base64.b64encode(message).decode("ascii") for message in scene3d.messages(pic, camera)],
         "size": list(size),
-        "halved": halved,
+        "samples": samples,
         "frames": [[float(pic.times[step]), *place] for step, place in zip(steps, places.tolist(), strict=True)],
     }
     page = re.sub(
@@ -83,7 +82,9 @@ def _shots(
     return [Image.open(io.BytesIO(base64.b64decode(text))).convert("RGB") for text in found]
 
 
-# Twice as fine and then halved smooths edges; a still is smoothed by the renderer on top, which takes as long again.
+# Twice as fine and then halved smooths edges; a still can pay for samples within each quarter of a pixel, too. Halving
+# on the renderer's side leaves a quarter of the pixels to be read back and packed, and frames in the head of the page
+# are never laid out as text: together that is more than half of a film's time.
 # Everything happens while the page loads, so that it is there when `--dump-dom` prints it; the viewer's own render loop
 # and its later resizing, which would clear the canvas, come too late to matter.
 _TEMPLATE = r"""<!DOCTYPE html>
@@ -95,15 +96,15 @@ function put(text, key, value) {
   const p = document.createElement("p");
   p.setAttribute(key, value);
   p.textContent = text;
-  document.body.appendChild(p);
+  document.head.appendChild(p);
 }
 window.onerror = message => put(message, "id", "error");
 </script>
 <script>@VIEWER@</script>
 <script>
 "use strict";
-const data = @DATA@, [width, height] = data.size;
-const renderer = new MeshCat.THREE.WebGLRenderer({antialias: !data.halved, alpha: true});
+const data = @DATA@, [width, height] = data.size, THREE = MeshCat.THREE;
+const renderer = new THREE.WebGLRenderer({antialias: false, alpha: true});
 const viewer = new MeshCat.Viewer(document.getElementById("view"), false, renderer);
 for (const text of data.commands) {
   const raw = atob(text), bytes = new Uint8Array(raw.length);
@@ -111,20 +112,25 @@ for (const text of data.commands) {
   viewer.handle_command_bytearray(bytes);
 }
 renderer.setPixelRatio(1);
-viewer.set_3d_pane_size(2 * width, 2 * height);
+viewer.set_3d_pane_size(width, height);
 viewer.animator.pause();
-const root = viewer.scene_tree.find(["riskplan"]).object;
-const canvas = document.createElement("canvas");
-[canvas.width, canvas.height] = data.size;
-const small = canvas.getContext("2d");
-small.imageSmoothingQuality = "high";
+const root = viewer.scene_tree.find(["riskplan"]).object, gl = renderer.getContext();
+const Fine = data.samples > 1 ? THREE.WebGLMultisampleRenderTarget : THREE.WebGLRenderTarget;
+const fine = new Fine(2 * width, 2 * height);
+if (data.samples > 1) fine.samples = data.samples;
 for (const [time, ...place] of data.frames) {
   viewer.animator.seek(time);
   root.position.set(...place);
+  renderer.setRenderTarget(fine);
   viewer.render();
-  if (data.halved) small.drawImage(renderer.domElement, 0, 0, width, height);
-  put((data.halved ? canvas : renderer.domElement).toDataURL("image/png"), "class", "frame");
+  renderer.setRenderTarget(null);
+  gl.bindFramebuffer(gl.READ_FRAMEBUFFER, renderer.properties.get(fine).__webglFramebuffer);
+  gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
+  gl.blitFramebuffer(0, 0, 2 * width, 2 * height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.LINEAR);
+  gl.bindFramebuffer(gl.READ_FRAMEBUFFER, null);
+  put(renderer.domElement.toDataURL("image/png"), "class", "frame");
 }
+for (const script of document.querySelectorAll("script")) script.remove();  // a megabyte less to print
 </script>
 </body></html>
 """

@@ -25,7 +25,8 @@ def card(pic: Picture, size: tuple[int, int], camera: Camera) -> Image.Image:
     bars = legend(pic)
     lines = _wrapped(pic.title, 21 * scale, width - 44 * scale)
     facts = _facts(pic)
-    height = round((30 + 27 * len(lines) + 22 * len(facts) + 46 * len(bars)) * scale)
+    notes = [line for note in pic.notes for line in _wrapped(note, 14 * scale, width - 44 * scale)]
+    height = round((30 + 27 * len(lines) + 22 * len(facts) + 46 * len(bars) + 21 * len(notes)) * scale)
     box = Image.new("RGBA", (width, height), (0, 0, 0, 0))
     draw = ImageDraw.Draw(box)
     draw.rounded_rectangle((0, 0, width - 1, height - 1), 10 * scale, fill=(255, 255, 255, 240), outline=(0, 0, 0, 26))
@@ -44,6 +45,9 @@ def card(pic: Picture, size: tuple[int, int], camera: Camera) -> Image.Image:
         write(draw, (left, y + 25 * scale), low, 14 * scale, palette.FAINT_INK)
         write(draw, (right, y + 25 * scale), high, 14 * scale, palette.FAINT_INK, right=True)
         y += 46 * scale
+    for note in notes:
+        write(draw, (22 * scale, y + 5 * scale), note, 14 * scale, palette.FAINT_INK)
+        y += 20 * scale
     box = box.resize((width // _FINE, height // _FINE), Image.Resampling.LANCZOS)
     layer = Image.new("RGBA", size, (0, 0, 0, 0))
     layer.paste(box, _corner(pic, size, box.size, camera)[0])
@@ -54,7 +58,7 @@ def view(pic: Picture, size: tuple[int, int]) -> Camera:
     """The camera for a picture with a card: where it would hide something anywhere, room is left for it."""
     aspect, scale = size[0] / size[1], max(0.62, size[1] / 800)
     camera = look(pic, aspect)
-    box = round(410 * scale), round((56 + 46 * len(legend(pic)) + 44) * scale)
+    box = round(410 * scale), round((56 + 46 * len(legend(pic)) + 40 * len(pic.notes) + 44) * scale)
     if _corner(pic, size, box, camera)[1] == 0 or box[0] > 0.4 * size[0]:
         return camera
     return look(pic, aspect, (box[0] + 0.04 * size[1]) / size[0])

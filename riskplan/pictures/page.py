@@ -28,6 +28,7 @@ def page(pic: Picture, script: str, commands: Sequence[bytes]) -> str:
         "times": pic.times.tolist(),
         "soFar": None if pic.so_far is None else [palette.claimed(pic.claim, risk) for risk in pic.so_far.tolist()],
         "here": [palette.number(risk) for risk in pic.path_risk.tolist()] if len(pic.path) > 1 else None,
+        "step": "this step" if pic.per_step.startswith("risk") else "first hit now",
         "near": near.distance,
         "lead": near.target.tolist(),
         "agents": [_agent_entry(i, agent) for i, agent in enumerate(pic.agents)],
@@ -39,7 +40,7 @@ def page(pic: Picture, script: str, commands: Sequence[bytes]) -> str:
         "@INK@": palette.INK,
         "@FAINT@": palette.FAINT_INK,
         "@FACTS@": "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in pic.facts),
-        "@BARS@": "".join(_bar(*bar) for bar in legend(pic)),
+        "@BARS@": "".join(_bar(*bar) for bar in legend(pic)) + "".join(f"<p>{html.escape(n)}</p>" for n in pic.notes),
         # "</script" inside a string would end the element; JSON and JavaScript both allow the escapes
         "@VIEWER@": script.replace("</script", "<\\/script"),
         "@DATA@": json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"),
@@ -97,6 +98,7 @@ body { margin: 0; overflow: hidden; background: @GROUND@; color: @INK@;
 #legend h1 { margin: 0 0 8px; font-size: 19px; font-weight: 600; overflow-wrap: anywhere; }
 #legend dl { display: grid; grid-template-columns: 142px 1fr; margin: 0 0 10px; gap: 1px 8px; }
 #legend dt { color: @FAINT@; } #legend dd { margin: 0; overflow-wrap: anywhere; }
+#legend p { margin: 8px 0 0; color: @FAINT@; font-size: 13px; }
 .bar { display: grid; grid-template-columns: 142px 1fr; gap: 8px; margin-top: 7px; align-items: start;
   line-height: 1.2; }
 .bar i { display: block; height: 11px; margin-top: 3px; } .bar small { color: @FAINT@; display: block; }
@@ -206,7 +208,7 @@ function show() {
   const t = Math.min(player.time, end);
   let k = data.times.length - 1;
   while (k > 0 && data.times[k] > t + 1e-6) k--;
-  const here = data.here ? "   this step " + data.here[k] : "";
+  const here = data.here ? "   " + data.step + " " + data.here[k] : "";
   now.textContent = "t = " + t.toFixed(1) + " s" + here + (data.soFar ? "   so far " + data.soFar[k] : "");
   toggle.textContent = player.playing ? "\u275A\u275A" : "\u25B6";
   time.value = t;

@@ -42,19 +42,22 @@ def ramp(stops: Ramp, fraction: Any) -> Array:
     return np.stack([np.interp(fraction, place, table[:, i]) for i in range(3)], axis=-1)
 
 
-def fill_alpha(weight: Any) -> Array:
-    """Opacity of the ellipses of a mode: likely modes are denser, unlikely ones stay visible."""
-    return np.asarray(0.06 + 0.12 * np.asarray(weight, dtype=float))
+def fill_alpha(weight: Any, modes: int) -> Array:
+    """Opacity of the ellipses of a mode of an agent: likely modes are denser, unlikely ones stay visible."""
+    return np.asarray(0.06 * min(1.0, 4.0 / modes) + 0.12 * np.asarray(weight, dtype=float))
 
 
 def tree_alpha(edges: int) -> float:
     """Opacity of the edges of the search: the more there are, the fainter each."""
-    return float(np.clip(18.0 / np.sqrt(max(edges, 1)), 0.15, 0.6))
+    return float(np.clip(16.0 / np.sqrt(max(edges, 1)), 0.1, 0.6))
 
 
 def futures_alpha(lines: int) -> float:
     """Opacity of sampled futures: a single one is clear, a thousand still let each other through."""
     return float(np.clip(3.0 / np.sqrt(max(lines, 1)), 0.1, 0.8))
+
+
+NOTHING = 1e-12  # a probability below it has no meaning
 
 
 def round_up(value: float) -> float:
@@ -66,7 +69,7 @@ def round_up(value: float) -> float:
 
 def number(value: float) -> str:
     """A probability for people: two digits, plain down to 0.0001; what is below any meaning is said to be."""
-    if value < 1e-12:
+    if value < NOTHING:
         return "< 1e-12"
     return f"{value:.2g}" if value >= 1e-4 else f"{value:.1e}"
 

@@ -27,7 +27,17 @@ from riskplan.pictures.risk_map import RiskMap
 from riskplan.result import Plan
 from riskplan.scene import Agent, Scenario
 
-__all__ = ["budget", "pareto", "reliability", "risk_map", "risk_over_time", "risk_surface", "save", "tightness"]
+__all__ = [
+    "blank",
+    "budget",
+    "pareto",
+    "reliability",
+    "risk_map",
+    "risk_over_time",
+    "risk_surface",
+    "save",
+    "tightness",
+]
 
 COLOURS = ("#3a6bd6", "#e07b1f", "#1c9c86", "#7b4fcf", "#c9487e", "#a58a1f", "#5f7486")
 _LEVELS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 0.5)
@@ -66,7 +76,7 @@ def risk_over_time(
     from riskplan.report import audit  # noqa: PLC0415  compiles kernels
 
     report = audit(plan, scenario, checkers, monte_carlo=0)
-    figure, axes = _axes("time [s]", "risk of the step")
+    figure, axes = blank("time [s]", "risk of the step")
     lowest = 1e-9
     if samples and any(_known(agent) for agent in scenario.agents):
         hits = sampled_hits(scenario, plan, samples, seed)
@@ -82,7 +92,7 @@ def risk_over_time(
     axes.set_yscale("log")
     axes.set_ylim(lowest, 1.3)
     axes.set_xlim(plan.times[0], plan.times[-1])
-    _legend(axes)
+    figure.legend(loc="outside upper left", ncols=3, frameon=False, fontsize=8.5)  # bounds fill the axes
     return figure
 
 
@@ -114,7 +124,7 @@ def budget(scenario: Scenario, plan: Plan) -> Figure:
     rows = spent(scenario, plan)
     if not rows.shape[1]:
         raise InputError("plan.marginals: expected one per agent of the scenario, got none")
-    figure, axes = _axes("time [s]", "risk so far")
+    figure, axes = blank("time [s]", "risk so far")
     names = [agent.name or f"agent {i}" for i, agent in enumerate(scenario.agents)]
     colours = [palette.AGENTS[i % len(palette.AGENTS)] for i in range(len(names))]
     axes.stackplot(plan.times, rows.T, labels=names, colors=colours, alpha=0.85, lw=0)
@@ -135,7 +145,7 @@ def pareto(series: Mapping[str, tuple[ArrayLike, ArrayLike]], cost: str = "arriv
         series: name: (costs (N,), risks (N,)).
         cost: label of the axis.
     """
-    figure, axes = _axes(cost, "total risk")
+    figure, axes = blank(cost, "total risk")
     for i, (name, (costs, risks)) in enumerate(series.items()):
         c, r = _pair(name, costs, risks)
         order = np.lexsort([r, c])
@@ -157,7 +167,7 @@ def reliability(
         bins: of equally many cases.
         confidence: of the bars.
     """
-    figure, axes = _axes("stated risk", "share that happened")
+    figure, axes = blank("stated risk", "share that happened")
     lowest = 1.0
     for i, (name, (risks, happened)) in enumerate(stated.items()):
         r, h = _pair(name, risks, happened)
@@ -186,7 +196,7 @@ def tightness(true: ArrayLike, bounds: Mapping[str, ArrayLike]) -> Figure:
         true: (N,) exact risks > 0.
         bounds: name: (N,).
     """
-    figure, axes = _axes("bound / true risk", "share of cases within")
+    figure, axes = blank("bound / true risk", "share of cases within")
     for i, (name, values) in enumerate(bounds.items()):
         exact, bound = _pair(name, true, values)
         ratio = np.sort(bound / exact)
@@ -202,8 +212,8 @@ def risk_map(found: RiskMap, scenario: Scenario | None = None, plan: Plan | None
     """A risk map from above: contours at 1e-6, 1e-5, … 0.5, with the road, the bodies and the plan if given."""
     span_x, span_y = np.ptp(found.x), np.ptp(found.y)
     wide = span_y < 0.45 * span_x
-    size = (9.0, 8.4 * span_y / span_x + 1.45) if wide else (7.6 * min(1.0, span_x / span_y) + 1.2, 7.0)
-    figure, axes = _axes("x [m]", "y [m]", size)
+    size = (9.0, 8.4 * span_y / span_x + 1.2) if wide else (7.6 * min(1.0, span_x / span_y) + 1.2, 7.0)
+    figure, axes = blank("x [m]", "y [m]", size)
     axes.grid(visible=False)
     axes.set_facecolor(palette.GROUND)
     if scenario is not None:
@@ -258,18 +268,21 @@ def _backdrop(axes: Axes, scenario: Scenario, time: float) -> None:
     origin = np.array([scenario.start.x, scenario.start.y])
 
     def areas(polygons: Iterable[Array], **style: Any) -> None:
-        axes.add_collection(PolyCollection([p + origin for p in polygons], **style), autolim=False)
+        axes.add_collection(PolyCollection([p / pic.zoom + origin for p in polygons], **style), autolim=False)
 
     areas(pic.road, facecolors="#c9d0d8", zorder=1)
     lines = [*pic.edges, *(dash for line in pic.dividers for dash in geometry.dashes(line))]
-    axes.add_collection(LineCollection([p + origin for p in lines], colors="white", linewidths=1.2, zorder=2))
+    axes.add_collection(
+        LineCollection([p / pic.zoom + origin for p in lines], colors="white", linewidths=1.2, zorder=2)
+    )
     areas(pic.obstacles, facecolors=palette.OBSTACLE, zorder=5)
     step = int(np.abs(pic.times - time).argmin())
     bodies = [geometry.place(geometry.rectangle(a.length, a.width), a.track[step]) for a in pic.agents]
     areas(bodies, facecolors="none", edgecolors=palette.INK, linewidths=1.2, zorder=6)
 
 
-def _axes(x: str, y: str, size: tuple[float, float] = (6.4, 3.6)) -> tuple[Figure, Axes]:
+def blank(x: str, y: str, size: tuple[float, float] = (6.4, 3.6)) -> tuple[Figure, Axes]:
+    """An empty figure in this module's style, and its axes; `x`, `y` are their labels."""
     figure = Figure(figsize=size, dpi=150, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()

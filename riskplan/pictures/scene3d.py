@@ -1,25 +1,31 @@
 """The 3-D scene in meshcat. The only module that imports meshcat (0.6 s), so import it late.
 
-Nothing here starts meshcat's server: `Recorder` stands in for its window and keeps the commands.
+Nothing here starts meshcat's server: a `Recorder` stands in for its window and keeps the commands.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import meshcat
-import meshcat.animation
-import meshcat.geometry as g
 import numpy as np
 import umsgpack  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+with warnings.catch_warnings():  # of pyzmq, about what meshcat imports for its server, which is not used here
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import meshcat
+    import meshcat.animation
+    import meshcat.geometry as g
 
 from checkers.validate import Array
 from riskplan.pictures import geometry, palette, solids
 from riskplan.pictures.agent_view import AgentView, agent_node
 from riskplan.pictures.camera import Camera, look
 from riskplan.pictures.picture import SIGMAS, Picture
+from riskplan.pictures.recorder import Recorder
 from riskplan.pictures.solids import Mesh, flat, merge
 
 # Flat things write no depth and are drawn in this order, all at z = 0: nothing to flicker, whatever the zoom.
@@ -40,32 +46,7 @@ _LAYERS = (
 )
 
 
-class Recorder:
-    """Stands in for meshcat's window: keeps what is sent, as plain messages, the same on every run."""
-
-    def __init__(self) -> None:
-        self.commands: list[dict[str, Any]] = []
-        self._ids: dict[str, str] = {}
-
-    def send(self, command: Any) -> None:
-        """Take a meshcat command (anything with `lower()`)."""
-        self.commands.append(self._plain(command.lower()))
-
-    def _plain(self, value: Any, key: str = "") -> Any:
-        if isinstance(value, dict):
-            return {str(k): self._plain(v, str(k)) for k, v in value.items()}
-        if isinstance(value, list | tuple):
-            return [self._plain(v) for v in value]
-        if isinstance(value, np.ndarray):
-            return self._plain(value.tolist())
-        if isinstance(value, np.generic):
-            value = value.item()
-        if isinstance(value, str) and key in ("uuid", "geometry", "material"):
-            return self._ids.setdefault(value, f"id-{len(self._ids)}")
-        data = [value] if isinstance(value, float) else _floats(value)
-        if not np.isfinite(data).all():  # the viewer would draw nothing, without a word
-            raise ValueError(f"scene: a number that is not finite in {key!r}")
-        return value
+_ALL_KEYS, _FEWEST_KEYS = 6_000, 6  # of all ellipses of the moment together, and of one
 
 
 class _Property:
@@ -100,21 +81,24 @@ def draw(vis: Any, pic: Picture, camera: Camera | None = None) -> None:
     if len(pic.tree):
         _tree(vis, pic)
     clips = {"ego": _clip(pic.times, pic.ego)}
+    keys = _keys(len(pic.times), sum(agent.means.shape[1] for agent in pic.agents))
     for i, agent in enumerate(pic.agents):
         _sampled(vis, i, agent)
         for mode in range(agent.means.shape[1]):
             node = f"modes/{i}/{mode}"
             for name, mesh in _mode_meshes(agent, mode, pic.limits[1], 0.15 * pic.stroke).items():
                 _put(vis, f"{node}/{name}", mesh, name)
-            clips[f"{node}/now"] = _ellipse_clip(pic.times, agent.now[1][:, mode], agent.now[2][:, mode])
-    ego = solids.robot(pic.ego_size[0], palette.EGO) if pic.ego_round else solids.body(*pic.ego_size, palette.EGO)
-    _body(vis, "ego", ego, *pic.ego_size)
+            at, spread = (now[keys, mode] for now in agent.now[1:])
+            clips[f"{node}/now"] = _ellipse_clip(pic.times[keys], at, spread)
+    length, width = pic.ego_size
+    ego = solids.robot(length, palette.EGO) if pic.ego_round else solids.vehicle(length, width, palette.EGO)
+    _body(vis, "ego", ego, length, width, pic.grown)
     shape = [solids.curtain(ring[:-1], 0.9 * pic.stroke, palette.EGO) for ring in pic.ego_rings]
     if shape:
         _put(vis, "ego/shape", merge(shape), "shape")
     for i, agent in enumerate(pic.agents):
         name = agent_node(i, agent.name)
-        _body(vis, name, solids.body(agent.length, agent.width, agent.colour), agent.length, agent.width)
+        _body(vis, name, solids.body(agent.length, agent.width, agent.colour), agent.length, agent.width, pic.grown)
         clips[name] = _clip(pic.times, agent.track)
     _camera(vis, camera or look(pic))
     animation = meshcat.animation.Animation({vis[f"/riskplan/{name}"].path: clip for name, clip in clips.items()})
@@ -223,20 +207,28 @@ def _mode_meshes(agent: AgentView, mode: int, limit: float, rim_width: float) ->
     """All ellipses of one mode in one mesh, the outlines of every fifth, and the one of the moment: a unit circle."""
     rings = geometry.ellipses(agent.means[:, mode], agent.covariances[:, mode], SIGMAS)
     weight = agent.weights[:, mode]
-    tint = np.column_stack([palette.ramp(palette.WEIGHT, weight / limit), palette.fill_alpha(weight)])
+    tint = np.column_stack(
+        [palette.ramp(palette.WEIGHT, weight / limit), palette.fill_alpha(weight, agent.weights.shape[1])]
+    )
     n = rings.shape[1]
     fill = flat(rings.reshape(-1, 2), geometry.fan(rings), np.repeat(tint, n, axis=0))
-    rim = np.repeat(np.column_stack([tint[::5, :3], np.full(len(tint[::5]), 0.85)]), 2 * n, axis=0)
+    ringed = tint[agent.rims, :3]
+    rim = np.repeat(np.column_stack([ringed, np.full(len(ringed), 0.85)]), 2 * n, axis=0)
     angle = 2 * np.pi * np.arange(40) / 40
     circle = np.column_stack([np.cos(angle), np.sin(angle)])[None]
     disc = flat(circle[0], geometry.fan(circle), np.array([*tint[0, :3], 0.30]))
     edge = flat(*geometry.rims(circle, 0.09), np.array([*tint[0, :3], 1.0]))
-    return {"ellipses": fill, "rims": flat(*geometry.rims(rings[::5], rim_width), rim), "now": merge([disc, edge])}
+    return {
+        "ellipses": fill,
+        "rims": flat(*geometry.rims(rings[agent.rims], rim_width), rim),
+        "now": merge([disc, edge]),
+    }
 
 
-def _body(vis: Any, name: str, mesh: Mesh, length: float, width: float) -> None:
-    _put(vis, f"{name}/body", mesh)
-    _put(vis, f"{name}/shadow", solids.shadow(length, width), "shadow")
+def _body(vis: Any, name: str, mesh: Mesh, length: float, width: float, grown: float) -> None:
+    _put(vis, f"{name}/body", mesh._replace(vertices=grown * mesh.vertices))
+    shadow = solids.shadow(length, width)
+    _put(vis, f"{name}/shadow", shadow._replace(vertices=grown * shadow.vertices), "shadow")
 
 
 def _camera(vis: Any, view: Camera) -> None:
@@ -252,6 +244,11 @@ def _camera(vis: Any, view: Camera) -> None:
 def _clip(times: Array, track: Array) -> Any:
     """Position and turn of a body over time; headings are continuous, so no turn takes the long way."""
     return _moves(times, track[:, :2], track[:, 2])
+
+
+def _keys(steps: int, modes: int) -> NDArray[np.int64]:
+    """The steps at which the ellipses of the moment are told where to be: all, but fewer in a crowd."""
+    return np.linspace(0, steps - 1, min(steps, max(_FEWEST_KEYS, _ALL_KEYS // max(modes, 1)))).round().astype(np.int64)
 
 
 def _ellipse_clip(times: Array, means: Array, covariances: Array) -> Any:
@@ -279,10 +276,3 @@ def _moves(times: Array, at: Array, turn: Array, scale: Array | None = None) -> 
         for name, (kind, rows) in values.items()
     }
     return meshcat.animation.AnimationClip(tracks, fps=1)  # key times are seconds
-
-
-def _floats(value: Any) -> Any:
-    """The numbers of a packed float32 array (extension type 0x17); nothing of anything else."""
-    if isinstance(value, umsgpack.Ext) and value.type == 0x17:
-        return np.frombuffer(value.data, dtype=np.float32)
-    return ()

@@ -39,10 +39,16 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def body(length: float, width: float, colour: str) -> Mesh:
-    """A car, a truck from 6.5 m on, a person below 1.2 m; along x, centred, standing on z = 0."""
+    """A vehicle, or a person below 1.2 m; along x, centred, standing on z = 0."""
     if length < 1.2:
-        return _facets(_person(max(length, width), colour))
-    return _facets(_truck(length, width, colour) if length >= 6.5 else _car(length, width, colour))
+        return _lowered(_facets(_person(max(length, width), colour)), max(length, width) / 0.3)
+    return vehicle(length, width, colour)
+
+
+def vehicle(length: float, width: float, colour: str) -> Mesh:
+    """A car, a truck from 6.5 m on; along x, centred, standing on z = 0."""
+    facets = _truck(length, width, colour) if length >= 6.5 else _car(length, width, colour)
+    return _lowered(_facets(facets), length / 3.0)
 
 
 def robot(diameter: float, colour: str) -> Mesh:
@@ -53,7 +59,12 @@ def robot(diameter: float, colour: str) -> Mesh:
     facets += _prism(ring * 0.94, ring * 0.7, 0.42, 0.56, colour, colour)
     tip = 0.5 * diameter * np.array([[0.6, 0.0], [0.05, 0.3], [0.05, -0.3]])
     facets.append((np.column_stack([tip, np.full(3, 0.575)]), palette.LINE))
-    return _facets(facets)
+    return _lowered(_facets(facets), diameter / 0.5)
+
+
+def _lowered(mesh: Mesh, share: float) -> Mesh:
+    """Heights are of full-grown bodies; smaller ones are lower, too."""
+    return mesh._replace(vertices=mesh.vertices * [1.0, 1.0, min(1.0, share)])
 
 
 def _person(width: float, colour: str) -> list[Facet]:
@@ -84,11 +95,13 @@ def column(polygon: Array, height: float, colour: str) -> Mesh:
 
 
 def shadow(length: float, width: float) -> Mesh:
-    """A soft dark spot under a body: opaque in the middle, gone 0.35 m outside of it."""
+    """A soft dark spot under a body: opaque in the middle, gone 0.35 m outside of it, less for small ones."""
+    soft = min(1.0, width)
     angle = 2 * np.pi * np.arange(32) / 32
     unit = np.column_stack([np.cos(angle), np.sin(angle)])
     unit = np.sign(unit) * np.abs(unit) ** 0.45  # between an ellipse and a rectangle
-    inner, outer = unit * [length / 2 - 0.1, width / 2 - 0.1], unit * [length / 2 + 0.35, width / 2 + 0.35]
+    half = np.array([length / 2, width / 2])
+    inner, outer = unit * (half - 0.1 * soft), unit * (half + 0.35 * soft)
     a = np.arange(32)
     b = (a + 1) % 32
     band = np.concatenate([np.column_stack([a, b, 32 + b]), np.column_stack([a, 32 + b, 32 + a])])

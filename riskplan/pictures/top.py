@@ -21,7 +21,8 @@ from riskplan.pictures.encode import Pixels, frame_steps
 from riskplan.pictures.picture import SIGMAS, Picture, legend
 
 _DPI = 100
-_HEAD = 92  # pixels above the view, for title and legend
+_HEAD, _FOOT = 92, 34  # pixels above the view, for title and legend, and below it, for the readout and small print
+_LOW = 260  # pictures lower than that spare the foot: what would stand there lies over the view
 
 
 def still(pic: Picture, size: tuple[int, int] | None = None, step: int = 0) -> Pixels:
@@ -50,6 +51,9 @@ def moving(pic: Picture, size: tuple[int, int] | None = None) -> tuple[list[Pixe
     return frames, pic.times[steps]
 
 
+_OVER: dict[str, Any] = {"facecolor": palette.GROUND, "edgecolor": "none", "alpha": 0.85, "pad": 4.0}
+
+
 class _Sheet(NamedTuple):
     """A figure, the axes of the view in it, in metres, and its canvas (untyped in matplotlib)."""
 
@@ -68,16 +72,22 @@ class _Movers:
         for agent in pic.agents:
             self._modes(agent, pic.limits[1])
         for agent in pic.agents:
-            self._car(agent.track, agent.length, agent.width, agent.colour)
+            self._car(agent.track, agent.length, agent.width, agent.colour, disc=agent.length < 1.2)
         for ring in pic.ego_rings:
             fill = np.array([*palette.rgb(palette.EGO), 0.28])
             self._add(ring, pic.ego, facecolor=fill, edgecolor="#8fc0ff", linewidth=1.0, zorder=8)
         self._car(pic.ego, *pic.ego_size, palette.EGO, disc=pic.ego_round)
         size = 13 if sheet.figure.get_figwidth() >= 12 else 10
         self._readout: Text = sheet.figure.text(
-            0.988, 0.03, "", ha="right", va="bottom", color=palette.INK, fontsize=size
+            0.988,
+            8 / (sheet.figure.get_figheight() * _DPI),
+            "",
+            ha="right",
+            va="bottom",
+            color=palette.INK,
+            fontsize=size,
         )
-        self._readout.set_bbox({"facecolor": palette.GROUND, "edgecolor": "none", "alpha": 0.85, "pad": 4.0})
+        self._readout.set_bbox(_OVER)
 
     def show(self, step: int) -> None:
         """Move everything to `Picture.times[step]`."""
@@ -107,7 +117,8 @@ class _Movers:
             self._rings.append((patch, rings[:, mode]))
 
     def _car(self, track: Array, length: float, width: float, colour: str, *, disc: bool = False) -> None:
-        if disc or length < 1.2:  # people are round from above, too
+        length, width = length * self._pic.grown, width * self._pic.grown
+        if disc:  # people are round from above, too
             outline = geometry.disc(length, width)
             self._add(outline, track, facecolor=colour, edgecolor="#ffffff", linewidth=1.0, zorder=9)
             return
@@ -125,8 +136,8 @@ class _Movers:
 def natural(pic: Picture, width: int) -> tuple[int, int]:
     """The size [pixel] that a top view of this width wants."""
     x0, y0, x1, y1 = pic.window
-    share = min(max((y1 - y0) / (x1 - x0), 0.16), 0.7)
-    return width, _HEAD + round(width * share) // 2 * 2
+    share = min(max((y1 - y0) / (x1 - x0), 0.13), 0.7)
+    return width, _HEAD + _FOOT + round(width * share) // 2 * 2
 
 
 def _pixels(sheet: _Sheet) -> Pixels:
@@ -139,8 +150,9 @@ def _sheet(pic: Picture, size: tuple[int, int]) -> _Sheet:
     width, height = size
     figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=palette.GROUND)
     canvas = FigureCanvasAgg(figure)
-    view = height - _HEAD
-    axes = figure.add_axes((0.0, 0.0, 1.0, view / height))
+    foot = _FOOT if height >= _LOW else 0
+    view = height - _HEAD - foot
+    axes = figure.add_axes((0.0, foot / height, 1.0, view / height))
     axes.set_axis_off()
     x0, y0, x1, y1 = pic.window
     scale = max((x1 - x0) / width, (y1 - y0) / view)  # metres a pixel
@@ -159,20 +171,32 @@ def _legend(figure: Figure, pic: Picture, width: int, height: int) -> None:
         return figure.text(x / width, 1 - y / height, label, **style)
 
     margin = 0.014 * width
-    small = 9.5 if width >= 1200 else 7.5
-    text(margin, 20, pic.title, 1.3 * small, palette.INK, weight="bold")
-    facts = "     ".join(f"{key} {value}" for key, value in pic.facts)
-    text(width - margin, 20, facts, 1.1 * small, palette.INK, ha="right")
+    small = 9.5 if width >= 1200 else 7.5 if width >= 720 else 5.8
+    facts = [f"{key} {value}" for key, value in pic.facts]
+    known = text(width - margin, 20, "     ".join(facts), 1.1 * small, palette.INK, ha="right")
+    while len(facts) > 1 and known.get_window_extent().width > 0.62 * width:
+        facts.pop()  # how it was planned before what came out
+        known.set_text("     ".join(facts))
+    title = text(margin, 20, pic.title, 1.3 * small, palette.INK, weight="bold")
+    room, shown = width - 3 * margin - known.get_window_extent().width, pic.title
+    while len(shown) > 1 and title.get_window_extent().width > room:
+        shown = shown[:-1]
+        title.set_text(f"{shown}…")
     column = (width - 2 * margin) / 3
     for i, (label, ramp, low, high) in enumerate(legend(pic)):
         left = margin + i * column
         text(left, 50, label, small, palette.INK)
-        left, right = left + 0.39 * column, left + 0.92 * column
+        left, right = left + 0.4 * column, left + 0.92 * column
         bar = figure.add_axes((left / width, 1 - 56 / height, (right - left) / width, 12 / height))
         bar.set_axis_off()
         bar.imshow(palette.ramp(ramp, np.linspace(0, 1, 256))[None], aspect="auto", interpolation="bilinear")
         text(left, 70, low, small - 1, palette.FAINT_INK)
         text(right, 70, high, small - 1, palette.FAINT_INK, ha="right")
+    note = text(margin, height - 16, "     ".join(pic.notes), small, palette.FAINT_INK)
+    note.set_bbox(_OVER)
+    while note.get_window_extent().width > 0.66 * width and small > 4:
+        small -= 0.5
+        note.set_fontsize(small)
 
 
 def _still(sheet: _Sheet, pic: Picture) -> None:
@@ -201,9 +225,9 @@ def _modes(sheet: _Sheet, agent: AgentView, limit: float) -> None:
     rings = geometry.ellipses(agent.means, agent.covariances, SIGMAS)  # (S, K, n, 2)
     n = rings.shape[2]
     tint = palette.ramp(palette.WEIGHT, agent.weights / limit)
-    fill = np.concatenate([tint, palette.fill_alpha(agent.weights)[..., None]], axis=-1)
+    fill = np.concatenate([tint, palette.fill_alpha(agent.weights, agent.weights.shape[1])[..., None]], axis=-1)
     _areas(sheet, rings.reshape(-1, n, 2), 4, facecolors=fill.reshape(-1, 4), edgecolors="none")
-    rim, edge = rings[::5].reshape(-1, n, 2), tint[::5].reshape(-1, 3)
+    rim, edge = rings[agent.rims].reshape(-1, n, 2), tint[agent.rims].reshape(-1, 3)
     _areas(sheet, rim, 5, facecolors="none", edgecolors=edge, linewidths=1.3, alpha=0.85)
 
 
