@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,6 +81,53 @@ def as_scalar(name: str, value: Any, *, low: float = -np.inf, high: float = np.i
         bracket = "(" if strict else "["
         raise InputError(f"{name}: expected a finite number in {bracket}{low:g}, {high:g}], got {number!r}")
     return number
+
+
+def as_count(name: str, value: Any, low: int = 0, high: int | None = None) -> int:
+    """An integer in [low, high]; booleans and floats are none."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise InputError(f"{name}: expected an integer, got {shown(value)}")
+    if value < low or (high is not None and value > high):
+        bounds = f">= {low}" if high is None else f"in [{low}, {high}]"
+        raise InputError(f"{name}: expected an integer {bounds}, got {shown(int(value))}")
+    return int(value)
+
+
+def as_flag(name: str, value: Any) -> bool:
+    """True or False, nothing that merely counts as one."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{name}: expected True or False, got {shown(value)}")
+    return bool(value)
+
+
+def as_text(name: str, value: Any) -> str:
+    """Text."""
+    if not isinstance(value, str):
+        raise InputError(f"{name}: expected text, got {shown(value)}")
+    return value
+
+
+def as_instance(name: str, value: Any, *kinds: type[Any]) -> Any:
+    """An instance of one of the classes."""
+    if not isinstance(value, kinds):
+        wanted = " or ".join(kind.__name__ for kind in kinds)
+        raise InputError(f"{name}: expected a {wanted}, got {shown(value)}")
+    return value
+
+
+def as_tuple(name: str, value: Any, *kinds: type[Any]) -> tuple[Any, ...]:
+    """Instances of the classes, in an iterable that is no text."""
+    if isinstance(value, str | bytes | dict) or not isinstance(value, Iterable):
+        raise InputError(f"{name}: expected a sequence, got {shown(value)}")
+    items = tuple(value)
+    for i, item in enumerate(items):
+        as_instance(f"{name}[{i}]", item, *kinds)
+    return items
+
+
+def as_path(name: str, value: Any) -> Path:
+    """A path, as text or as one."""
+    return Path(as_instance(name, value, str, os.PathLike))
 
 
 def as_draws(n: Any, rng: Any) -> int:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from checkers.validate import Array, InputError, as_array
+from checkers.validate import Array, InputError, as_array, as_scalar, as_tuple
 from predictor.grid import Grid
 from predictor.lane_points import MOST, RADIUS, LanePoints
 from predictor.npz import open_npz, read_npz
@@ -70,8 +70,9 @@ class Windows:
         known = ("past", "headings", "speeds", "sizes")
         for name, shape in shapes.items():
             object.__setattr__(self, name, _checked(name, getattr(self, name), shape, finite=name in known))
-        scenes = np.array(self.scenes, dtype=np.int64)
-        object.__setattr__(self, "names", tuple(str(name) for name in self.names))
+        scenes = np.array(_checked("scenes", self.scenes, (n,), finite=True), dtype=np.int64)
+        object.__setattr__(self, "names", as_tuple("names", self.names, str))
+        object.__setattr__(self, "dt", as_scalar("dt", self.dt, low=0.0, strict=True))
         if scenes.shape != (n,) or np.any((scenes < 0) | (scenes >= len(self.names))):
             raise InputError(f"scenes: expected ({n},) indices below {len(self.names)}, got shape {scenes.shape}")
         scenes.flags.writeable = False
@@ -107,12 +108,13 @@ class Windows:
             InputError: naming the file and the field.
         """
         values = read_npz(path, FORMAT)
-        values["names"] = values.get("names", np.array([])).tolist()
-        values["dt"] = float(values.get("dt", np.float64(0.1)))
+        known = {f.name for f in fields(cls)}
+        for key in sorted((known ^ set(values)) - {"dt"}):
+            raise InputError(f"{path}: {key}: {'missing' if key in known else 'unknown'} field")
+        values["names"] = values["names"].tolist()
+        values["dt"] = np.asarray(values.get("dt", 0.1)).tolist()
         try:
             return cls(**values)
-        except TypeError as error:
-            raise InputError(f"{path}: missing or unknown field: {error}") from None
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
@@ -246,7 +248,10 @@ def _ego_future(
 
 def _checked(name: str, value: Any, shape: tuple[int | str, ...], *, finite: bool) -> Array:
     """As `as_array`, but axes may be empty: a data set may have no lanes, or no samples left."""
-    array = np.array(value, dtype=np.float64)
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: expected numbers of shape {shape}, got {type(value).__name__}: {error}") from None
     if array.ndim != len(shape) or any(isinstance(w, int) and w != s for w, s in zip(shape, array.shape, strict=True)):
         raise InputError(f"{name}: expected shape {shape}, got {array.shape}")
     if finite and array.size:

@@ -10,9 +10,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
 from checkers import PATH_DEPENDENCE, InputError, checker
+from checkers.archive import check_regular, read_arrays
 from checkers.validate import as_option, as_scalar
 from riskplan.batching_child import Children
 from riskplan.batching_shards import check_settings, claimed, done, next_number, parquet, write_shard
@@ -191,21 +190,25 @@ def _listed(path: Path) -> list[Item]:
     """The list in a file: column or array `scenario`, and `problem` if there is one."""
     try:
         if path.suffix == ".npz":
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
-                columns = {key: data[key].tolist() for key in ("scenario", "problem") if key in data.files}
+            columns = {key: v.tolist() for key, v in read_arrays(path, "list of scenarios").items()}
         else:
+            check_regular(path)
             pa = parquet()
             table = pa.parquet.read_table(path)
             columns = {key: table[key].to_pylist() for key in ("scenario", "problem") if key in table.column_names}
     except InputError:
         raise
-    except Exception as error:  # zip, zlib, numpy and pyarrow each have errors of their own
+    except Exception as error:  # pyarrow has dozens of kinds
         raise InputError(f"{path}: not a readable list: {' '.join(str(error).split())[:200]}") from None
     names = columns.get("scenario")
     if not isinstance(names, list) or not all(isinstance(n, str) and n for n in names):
         raise InputError(f"{path}: expected a column scenario of paths")
     problems = columns.get("problem", [0] * len(names))
-    if len(problems) != len(names) or not all(isinstance(p, int) and p >= 0 for p in problems):
+    if (
+        not isinstance(problems, list)
+        or len(problems) != len(names)
+        or not all(isinstance(p, int) and not isinstance(p, bool) and p >= 0 for p in problems)
+    ):
         raise InputError(f"{path}: expected a column problem of integers >= 0")
     pairs = zip(names, problems, strict=True)
     return [Item(f"{n}#{p}" if p else n, (path.parent / n).absolute(), p) for n, p in pairs]
