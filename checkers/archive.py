@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-from checkers.validate import InputError
+from checkers.validate import InputError, as_path
 
 LARGEST = 500_000_000  # bytes of all arrays of a file, unpacked
 _MEMBERS = 64
@@ -101,6 +101,7 @@ def check_regular(path: str | Path) -> None:
     Raises:
         InputError: naming the file.
     """
+    as_path("path", path)  # an integer would be taken for an open file, and closed
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:

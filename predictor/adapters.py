@@ -187,7 +187,7 @@ def _plain(name: str, value: Any) -> Array:
         if np.iscomplexobj(value):
             raise TypeError("complex numbers")
         return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name}: expected an array of numbers, got {type(value).__name__}: {error}") from None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import inspect
 from collections.abc import Callable
@@ -14,6 +15,8 @@ from PIL import Image
 from scenes import overtake
 
 import riskplan as rp
+from riskplan.cli import main
+from riskplan.commands import parser
 
 # what no argument means: refused everywhere
 NOTHING_KNOWN = object()
@@ -44,12 +47,15 @@ JUNK: dict[str, Any] = {
 }
 # what comes out of the library; its fields are not for callers to fill
 RESULTS = {
+    *("ConstantVelocity", "LearnedPredictor", "Manoeuvres", "Roadmap"),
     *("BatchSummary", "CheckerInfo", "CheckerVerdict", "Collision", "Cycle", "Inflated", "PathRisk", "Plan"),
     *("PlannerInfo", "Report", "RiskMap", "Simulation", "SampledRisk", "SweepPoint", "TrajectoryRisk", "Risk"),
 }
 # types to subclass or to compare with, and names without arguments
-NO_CALLS = {"Checker", "EgoShape", "InputError", "Kind", "Prediction", "RandomVariable", "Vehicle", "checkers", "planners",
-            "dynamics", "ompl", "plots"}  # fmt: skip
+NO_CALLS = {
+    *("Checker", "EgoShape", "InputError", "Kind", "Prediction", "RandomVariable", "Vehicle", "checkers", "planners"),
+    *("dynamics", "ompl", "plots"),
+}
 SECONDS = 10.0  # of one call, on the processor
 
 
@@ -182,14 +188,20 @@ def calls(tmp_path_factory) -> dict[str, tuple[Callable[..., Any], dict[str, Any
         "RrtStar": (rp.RrtStar, _defaults(rp.RrtStar)),
         "Roadmap.load": (rp.Roadmap.load, {"path": folder / "none.npz"}),
         "ConstantVelocity.predict": (
-            rp.ConstantVelocity.fitted().predict, {"track": track(), "times": [1.1, 1.2]}
+            rp.ConstantVelocity.fitted().predict, {"past": track(), "times": [1.1, 1.2]}
         ),
-        "Manoeuvres.predict": (rp.Manoeuvres.fitted().predict, {"tracks": [track()], "times": [1.1, 1.2]}),
+        "Manoeuvres.predict": (
+            rp.Manoeuvres.fitted().predict, {"past": track(), "times": [1.1, 1.2], "lanes": (), "others": ()}
+        ),
         "as_gaussian": (rp.as_gaussian, {"pred": moments}),
         "as_random_variable": (rp.as_random_variable, {"value": 1.0, "name": "x"}),
-        "audit": (rp.audit, {"plan": plan, "scenario": scenario, "checkers": ["exact"], "monte_carlo": 100, "seed": 0}),
+        "audit": (
+            rp.audit, {"plan": plan, "scenario": scenario, "checkers": ["exact"], "monte_carlo": 100, "seed": 0}
+        ),
         "checker": (rp.checker, {"name": "sos", "order": 4, "solver": "clarabel"}),
-        "checker call": (lambda poses, pred, ego: backend(poses, pred, ego), {"poses": poses, "pred": agent, "ego": ego}),
+        "checker call": (
+            lambda poses, pred, ego: backend(poses, pred, ego), {"poses": poses, "pred": agent, "ego": ego}
+        ),
         "covariance_over_time": (rp.covariance_over_time, {"pred": driven}),
         "draw": (rp.draw, {"vis": None, "scenario": scenario, "plan": plan, "samples": 0, "density": 0, "seed": 0}),
         "fit_factors": (rp.fit_factors, {"residuals": np.random.default_rng(0).normal(size=(20, 5, 2)), "rank": 2}),
@@ -336,4 +348,68 @@ def test_whatever_comes_is_taken_or_refused_in_one_line(calls, name, tmp_path, m
                 accepted, finding, _ = tried(taken, {argument: junk}, SECONDS)
             if finding or (accepted and junk is NOTHING_KNOWN):
                 found.append(f"{argument}={label}: {finding or 'taken'}")
+    assert not found, "\n".join(found)
+
+
+# ----------------------------------------------------------------------------------------------------
+# the command line
+
+WORDS = ("", "x", "-1", "nan", "inf", "1e400", "0", "9" * 400, "a\x00b", "é\u2028", "none", "1,2", "0x0", "/dev/null/a")
+COMMANDS: dict[str, list[str]] = {
+    "plan": ["{scene}", "--time-limit", "0.01", "--monte-carlo", "0"],
+    "simulate": ["{scene}", "--time-limit", "0.01", "--steps", "1"],
+    "assess": ["{scene}", "{plan}", "--monte-carlo", "0"],
+    "sweep": ["{scene}", "--bounds", "0.1", "--time-limit", "0.01"],
+    "render": ["{scene}", "{plan}", "--out", "a.png", "--view", "top", "--size", "200x150"],
+    "batch": ["{folder}", "--out", "out", "--time-limit", "0.01"],
+    "export": ["{plan}", "--to", "csv", "--out", "a.csv"],
+    "record": ["--samples", "1", "--out", "r.npz"],
+    "train": ["--data", "{folder}", "--out", "model"],
+    "predict": ["{scene}", "--out", "predicted"],
+    "completion": ["bash"],
+}
+
+
+def test_every_command_with_options_is_in_the_table():
+    own = {name for name, command in subcommands().items() if any(a.dest != "help" for a in command._actions)}
+    assert own - set(COMMANDS) <= {"checkers", "planners", "demo", "doctor"}  # these take --json and --out
+
+
+def subcommands() -> dict[str, argparse.ArgumentParser]:
+    (group,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
+    return dict(group.choices)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_any_word_for_any_option_ends_in_a_plan_or_in_one_line(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    scenario = overtake()
+    rp.save_scenario(scenario, tmp_path / "scene.yaml")
+    (tmp_path / "folder").mkdir()
+    plan = rp.plan(scenario, bound=0.1, time_limit=20.0, seed=1)
+    rp.save_plan(plan, tmp_path / "plan.json")
+    places = {f"{{{key}}}": str(tmp_path / path) for key, path in
+              (("scene", "scene.yaml"), ("plan", "plan.json"), ("folder", "folder"))}  # fmt: skip
+    base = [places.get(word, word) for word in COMMANDS[name]]
+    options = [a.option_strings[-1] for a in subcommands()[name]._actions if a.option_strings and a.nargs != 0]
+    if name == "record":  # what these accept takes seconds
+        options = [option for option in options if option not in ("--seed", "--samples")]
+
+    def ended(argv: list[str]) -> bool:
+        try:
+            status = main(argv)
+        except SystemExit as end:
+            status = int(end.code or 0)
+        told = capsys.readouterr()
+        assert status in (0, 1, 2), told.err[-500:]
+        assert status != 2 or (told.err.count("\n") == 1 and told.err.startswith("riskplan: error: ")), told.err
+        return status != 2
+
+    found = []
+    for option in options:
+        for word in WORDS:
+            with limits(4000):
+                _, finding, _ = tried(ended, [name, *base, f"{option}={word}"], SECONDS)
+            if finding:
+                found.append(f"{option}={word!r:.20}: {finding}")
     assert not found, "\n".join(found)

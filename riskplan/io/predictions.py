@@ -13,7 +13,7 @@ import numpy as np
 
 from checkers import GaussianMixturePrediction, InputError, Prediction, load_prediction
 from checkers.archive import check_regular, read_arrays
-from checkers.validate import Array, as_array, as_option
+from checkers.validate import Array, as_array, as_flag, as_option, as_path
 from riskplan.io import autoware, nuscenes, waymo
 from riskplan.io.fields import MOST_AGENTS, Reading, naming
 from riskplan.io.text import read_bytes
@@ -57,6 +57,8 @@ def load_predictions(
     """
     if format is not None:
         as_option("format", format, FORMATS)
+    as_path("path", path)
+    as_flag("normalise", normalise)
     with naming(path):
         reading, kind = Reading(growth, scene, normalise), format or _SUFFIXES.get(Path(path).suffix.lower())
         if kind == "npz":

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from checkers import EgoShape, Kind
-from checkers.validate import Array
+from checkers.validate import Array, as_instance
 from riskplan.pictures import geometry, palette
 from riskplan.pictures.agent_view import AgentView, Detail, agent_view
 from riskplan.result import Plan
@@ -77,6 +77,9 @@ def picture(
     scenario: Scenario, plan: Plan | None = None, title: str | None = None, detail: Detail | None = None
 ) -> Picture:
     """Collect what there is to see; `plan` may be None or unsolved."""
+    as_instance("scenario", scenario, Scenario)
+    if plan is not None:
+        as_instance("plan", plan, Plan)
     start = scenario.start
     origin = np.array([start.x, start.y])
     planned = plan is not None and len(plan.poses) > 0

@@ -347,7 +347,7 @@ def maker(target: str) -> Callable[[random.Random], bytes]:
     }
     if target in documents:
         return lambda rng: _sometimes_raw(
-            rng, corpus.yaml_bytes(mutate.document(rng, {"": rng.choice(documents[target])})[""])
+            rng, corpus.yaml_bytes(mutate.document(rng, {"": rng.choice(documents[target])}).get(""))
         )
     if target in ARRAYS:
         given = ARRAYS[target]()
