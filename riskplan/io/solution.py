@@ -1,9 +1,9 @@
 """Plans as CommonRoad solutions: the XML that commonroad-io reads and the CommonRoad server scores.
 
 A plan's car is a point moving along its heading within limits of acceleration and curvature: CommonRoad's point mass
-PM. A plan for a `KinematicBicycle` with the axles of the vehicle type (`AXLES`) and a steering rate of at most 0.4 rad/s
-is one of CommonRoad's kinematic single-track model KS. Positions are the body's centre in both; the speed of KS is the
-rear axle's.
+PM. A plan of a `KinematicBicycle` with the axles of the vehicle type (`AXLES`) and a rate of steering of at most
+0.4 rad/s is one of CommonRoad's kinematic single-track model KS. Positions are the body's centre in both; the speed of
+KS is the rear axle's.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from riskplan.result import Plan
 MODELS = ("KS", "PM")
 COST_FUNCTIONS = ("JB1", "SA1", "WX1", "SM1", "SM2", "SM3", "MW1", "TR1", "TR2")
 PM_COST_FUNCTIONS = ("JB1", "WX1", "MW1")
-# a, b [m] from the centre to the front and the rear axle of Ford Escort, BMW 320i, VW Vanagon (Althoff & Würsching 2020,
-# table 6)
+# a, b [m] from the centre to the front and the rear axle of Ford Escort, BMW 320i, VW Vanagon
+# (Althoff & Würsching 2020, table 6)
 AXLES = {1: (0.88392, 1.50876), 2: (1.1561957064, 1.4227170936), 3: (1.1507916024, 1.3211363976)}
 
 
