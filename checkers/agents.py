@@ -11,6 +11,7 @@ from checkers.prediction import GaussianMixturePrediction, MomentPrediction
 from checkers.validate import InputError, as_option
 
 Prediction = GaussianMixturePrediction | MomentPrediction | ControlPrediction
+AGENTS = (GaussianMixturePrediction, MomentPrediction, ControlPrediction)
 
 
 def load_prediction(path: str | Path) -> Prediction:

@@ -6,13 +6,15 @@ import io
 import os
 import stat
 import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
 
-from checkers.validate import InputError
+from checkers.validate import InputError, as_path
 
 LARGEST = 500_000_000  # bytes of all arrays of a file, unpacked
 _MEMBERS = 64
@@ -30,13 +32,62 @@ def read_arrays(path: str | Path, what: str) -> dict[str, Any]:
         InputError: one line that names the file: missing, no archive, damaged, too large, or of other than numbers and
             text.
     """
+    with open_arrays(path, what) as arrays:
+        return dict(arrays)
+
+
+@contextmanager
+def open_arrays(
+    path: str | Path, what: str, *, most: int = _MEMBERS, largest: int = LARGEST
+) -> Iterator[Mapping[str, Any]]:
+    """The arrays of a file, each read when asked for.
+
+    Args:
+        path, what: as in `read_arrays`.
+        most: number of arrays.
+        largest: bytes of all of them, unpacked.
+
+    Raises:
+        InputError: one line that names the file; from the mapping too.
+    """
     check_regular(path)
-    try:
-        with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
+    with _told(path, what):
+        file = open(path, "rb")  # noqa: SIM115
+    with file:
+        with _told(path, what):
+            archive = zipfile.ZipFile(file)
             members = archive.infolist()
-            if len(members) > _MEMBERS or sum(m.file_size for m in members) > LARGEST:
-                raise InputError(f"expected at most {_MEMBERS} arrays of {LARGEST / 1e6:g} MB together, got more")
-            return {m.filename.removesuffix(".npy"): _array(archive, m) for m in members}
+            if len(members) > most or sum(m.file_size for m in members) > largest:
+                raise InputError(f"expected at most {most} arrays of {largest / 1e6:g} MB together, got more")
+        with archive:
+            yield _Arrays(path, what, archive, {m.filename.removesuffix(".npy"): m for m in members})
+
+
+class _Arrays(Mapping[str, Any]):
+    """Arrays by name, read from the archive at each look."""
+
+    def __init__(
+        self, path: str | Path, what: str, archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]
+    ) -> None:
+        self._path, self._what, self._archive, self._members = path, what, archive, members
+
+    def __getitem__(self, name: str) -> Any:
+        member = self._members[name]
+        with _told(self._path, self._what):
+            return _array(self._archive, member)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._members)
+
+    def __len__(self) -> int:
+        return len(self._members)
+
+
+@contextmanager
+def _told(path: str | Path, what: str) -> Iterator[None]:
+    """Whatever goes wrong as one line that names the file."""
+    try:
+        yield
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except Exception as error:  # zipfile, zlib and numpy's header reader raise dozens of kinds on damaged files
@@ -50,6 +101,7 @@ def check_regular(path: str | Path) -> None:
     Raises:
         InputError: naming the file.
     """
+    as_path("path", path)  # an integer would be taken for an open file, and closed
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:

@@ -36,7 +36,7 @@ def start_blocks(value: Any, system: System) -> Initial:
         InputError: naming the variable.
     """
     if not isinstance(value, Mapping):
-        given = list(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else None
+        given = list(value) if isinstance(value, list | tuple) or getattr(value, "ndim", 0) == 1 else None
         if given is None or len(given) != len(system.variables):
             raise InputError(f"initial: expected a mapping or a value for each of {', '.join(system.variables)}")
         value = dict(zip(system.variables, given, strict=True))

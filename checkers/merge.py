@@ -6,9 +6,9 @@ from math import comb
 
 import numpy as np
 
-from checkers.agents import Prediction
+from checkers.agents import AGENTS, Prediction
 from checkers.prediction import MomentPrediction
-from checkers.validate import Array
+from checkers.validate import Array, as_instance
 
 
 def merged(pred: Prediction, order: int) -> MomentPrediction:
@@ -17,7 +17,7 @@ def merged(pred: Prediction, order: int) -> MomentPrediction:
     E[(x − μ)^i (y − μ)^j] = Σ_k w_k Σ C(i, p) C(j, q) d_k^(i−p, j−q) m_k[p, q] with d_k the offset of the
     mode's mean. What persisted with a mode is forgotten: only the step's own distribution is kept.
     """
-    modes = pred.moments(order)
+    modes = as_instance("pred", pred, *AGENTS).moments(order)
     weights = modes.step_weights
     # from one of the modes, so that city coordinates cost no digits
     local = modes.means - modes.means[:, :1]

@@ -13,7 +13,7 @@ from checkers.dynamics import System
 from checkers.prediction import GaussianMixturePrediction, MomentPrediction
 from checkers.propagation import position_moments
 from checkers.random_variables import Constant
-from checkers.validate import Array, InputError
+from checkers.validate import Array, InputError, as_instance
 
 _WORDS = ("then", "hold")
 
@@ -59,7 +59,7 @@ def with_factors(pred: ControlPrediction, rank: int = 2, order: int = 2) -> Mome
         rank: R, number of factors of each mode.
         order: of the moments, 2 to 12.
     """
-    known = pred.moments(order)
+    known = as_instance("pred", pred, ControlPrediction).moments(order)
     factors = [leading_factors(mode, rank)[0] for mode in covariance_over_time(pred)]
     return MomentPrediction(
         known.times,

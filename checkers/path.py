@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from checkers.agents import Prediction
+from checkers.agents import AGENTS, Prediction
 from checkers.base import as_poses
 from checkers.control_prediction import ControlPrediction
 from checkers.cubature import over_factors
@@ -21,7 +21,7 @@ from checkers.prediction import GaussianMixturePrediction, MomentPrediction, Pos
 from checkers.registry import checker
 from checkers.risk import PATH_DEPENDENCE, Risk, TrajectoryRisk, trajectory_risk
 from checkers.shapes import AlignedEllipsoid, EgoBox, EgoShape, agent_size
-from checkers.validate import FARTHEST, Array, InputError, as_array, as_option, as_scalar
+from checkers.validate import FARTHEST, Array, InputError, as_array, as_option, as_scalar, as_seed, as_tuple
 
 PATH_SAFETY = 4.0  # what the rules estimate of their own error was exceeded by 1.6 in one of a hundred hard scenes
 
@@ -77,11 +77,9 @@ def path_risk(
     """
     as_option("dependence", dependence, PATH_DEPENDENCE)
     as_scalar("tolerance", tolerance, low=1e-14, high=1e-2)
-    if not predictions:
+    if not as_tuple("predictions", predictions, *AGENTS):
         raise InputError("predictions: expected at least one, got none")
-    for i, pred in enumerate(predictions):
-        if not isinstance(pred, get_args(Prediction)):
-            raise InputError(f"predictions[{i}]: expected a prediction, got {type(pred).__name__}")
+    as_seed("seed", seed)
     agents = [p.moments(2) if isinstance(p, ControlPrediction) else p for p in predictions]
     poses = as_poses(poses, len(predictions[0].times))
     as_array("poses", poses, poses.shape, largest=FARTHEST)

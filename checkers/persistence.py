@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from checkers.prediction import GaussianMixturePrediction, PositionPrediction
-from checkers.validate import Array, InputError
+from checkers.validate import Array, InputError, as_instance
 
 
 def persistent(pred: GaussianMixturePrediction) -> GaussianMixturePrediction:
@@ -19,6 +19,7 @@ def persistent(pred: GaussianMixturePrediction) -> GaussianMixturePrediction:
     taken to be the direction in which the mean moves, and the result carries them; where a mean stands still the two
     are along x and y.
     """
+    as_instance("pred", pred, GaussianMixturePrediction)
     headings = _moving(pred) if pred.headings is None else pred.headings
     frames = np.zeros(pred.means.shape[:2]) if headings is None else headings
     c, s = np.cos(frames), np.sin(frames)

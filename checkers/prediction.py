@@ -27,6 +27,7 @@ from checkers.validate import (
     as_times,
     as_weights,
 )
+from checkers.writing import written
 
 MODES = ("persistent", "per_step")
 
@@ -314,5 +315,5 @@ def _save(pred: GaussianMixturePrediction | MomentPrediction, path: str | Path) 
     kind = next(key for key, cls in _CLASSES.items() if isinstance(pred, cls))
     values = {f.name: getattr(pred, f.name) for f in fields(pred)}
     present = {key: np.asarray(value) for key, value in values.items() if value is not None}
-    with open(path, "wb") as file:
+    with written(path) as part, open(part, "wb") as file:
         np.savez(file, allow_pickle=False, type=np.asarray(kind), **present)

@@ -15,7 +15,18 @@ from typing import Any
 import numpy as np
 
 from checkers.quadrature import HIGHEST_POWER, Rule
-from checkers.validate import FARTHEST, Array, InputError, as_array, as_scalar, as_weights
+from checkers.validate import (
+    FARTHEST,
+    Array,
+    InputError,
+    as_array,
+    as_count,
+    as_instance,
+    as_scalar,
+    as_text,
+    as_tuple,
+    as_weights,
+)
 
 
 class RandomVariable(ABC):
@@ -134,7 +145,8 @@ class Mixture(RandomVariable):
     components: tuple[RandomVariable, ...]
 
     def __post_init__(self) -> None:
-        components = tuple(as_random_variable(c, f"Mixture: components[{i}]") for i, c in enumerate(self.components))
+        given = as_tuple("Mixture: components", self.components)
+        components = tuple(as_random_variable(c, f"Mixture: components[{i}]") for i, c in enumerate(given))
         if not components:
             raise InputError("Mixture: components: expected at least one, got none")
         weights = as_weights("Mixture: weights", _listed(self.weights), 1, len(components))
@@ -177,9 +189,9 @@ class Mixture(RandomVariable):
 
 def trigonometric_moment(x: RandomVariable, m: int, n: int) -> float:
     """E[cosᵐ X sinⁿ X] from the characteristic function (Jasour et al. 2021, appendix B, last equation)."""
+    as_instance("trigonometric_moment: x", x, RandomVariable)
     for name, value in (("m", m), ("n", n)):
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 0:
-            raise InputError(f"trigonometric_moment: {name}: expected an integer >= 0, got {value!r}")
+        as_count(f"trigonometric_moment: {name}", value, 0, 1000)
     total = sum(
         comb(m, j) * comb(n, k) * (-1) ** (n - k) * x.characteristic(2 * (j + k) - m - n)
         for j in range(m + 1)
@@ -197,6 +209,7 @@ def as_random_variable(value: Any, name: str = "random variable") -> RandomVaria
     Raises:
         InputError: for anything else, and for a distribution without a variance.
     """
+    as_text("name", name)
     if isinstance(value, RandomVariable):
         return value
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):

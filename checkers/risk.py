@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from checkers.agents import Prediction
+from checkers.agents import AGENTS, Prediction
 from checkers.kind import Kind
-from checkers.validate import Array, InputError
+from checkers.validate import Array, InputError, as_option, as_tuple
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +95,9 @@ def trajectory_risk(
     Raises:
         InputError: on unequal lengths or shapes. No agents means no risk, but also no shape: pass at least one.
     """
-    if dependence not in DEPENDENCE:
-        raise InputError(f"dependence: expected one of {', '.join(DEPENDENCE)}; got {dependence!r}")
+    as_option("dependence", dependence, DEPENDENCE)
+    as_tuple("risks", risks, Risk)
+    as_tuple("predictions", predictions, *AGENTS)
     if len(risks) != len(predictions) or not risks:
         raise InputError(
             f"risks: expected one per prediction and at least one, got {len(risks)} for {len(predictions)}"

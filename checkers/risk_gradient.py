@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from checkers.agents import Prediction
+from checkers.agents import AGENTS, Prediction
 from checkers.risk import DEPENDENCE, Risk
-from checkers.validate import Array, InputError, as_option
+from checkers.validate import Array, InputError, as_array, as_option, as_tuple
 
 
 def trajectory_risk_gradient(
@@ -36,6 +36,9 @@ def trajectory_risk_gradient(
         InputError: on unequal lengths or shapes.
     """
     as_option("dependence", dependence, DEPENDENCE)
+    as_tuple("risks", risks, Risk)
+    as_tuple("gradients", gradients)
+    as_tuple("predictions", predictions, *AGENTS)
     if not len(risks) == len(gradients) == len(predictions) or not len(risks):
         raise InputError(
             "gradients: expected as many as risks and predictions and at least one, "
@@ -43,13 +46,11 @@ def trajectory_risk_gradient(
         )
     total: Array | None = None
     for i, (risk, gradient, pred) in enumerate(zip(risks, gradients, predictions, strict=True)):
-        value, change = risk.value, np.asarray(gradient, dtype=np.float64)
+        value, change = risk.value, as_array(f"gradients[{i}]", gradient, (*risk.value.shape, 3), finite=False)
         steps_modes = pred.means.shape[:2]
         whole = value.shape[-2:] == (steps_modes[0], 1)
         if value.shape[-2:] != steps_modes and not whole:
             raise InputError(f"risks[{i}].value: expected (..., {steps_modes}), got {value.shape}")
-        if change.shape != (*value.shape, 3):
-            raise InputError(f"gradients[{i}]: expected {(*value.shape, 3)}, got {change.shape}")
         weights = np.ones((steps_modes[0], 1)) if whole else pred.step_weights
         if dependence == "independent":
             if pred.modes == "persistent":

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class Body(Protocol):
         """[m]."""
 
 
+@runtime_checkable
 class EgoShape(Protocol):
     """Anything made of ellipsoids in the ego frame."""
 
@@ -151,7 +152,7 @@ class EgoCover:
     relative_heading: float | None = None
 
     def __post_init__(self) -> None:
-        _sizes(self.length, self.width, self.agent_length or 0.0, self.agent_width or 0.0)
+        _sizes(self.length, self.width, *(0.0 if v is None else v for v in (self.agent_length, self.agent_width)))
         if not isinstance(self.n, int) or isinstance(self.n, bool) or not 1 <= self.n <= 1000:
             raise InputError(f"n: expected an integer from 1 to 1000, got {self.n!r}")
         if self.relative_heading is not None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -81,10 +83,82 @@ def as_scalar(name: str, value: Any, *, low: float = -np.inf, high: float = np.i
     return number
 
 
+def as_count(name: str, value: Any, low: int = 0, high: int | None = None) -> int:
+    """An integer in [low, high]; booleans and floats are none."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise InputError(f"{name}: expected an integer, got {shown(value)}")
+    if value < low or (high is not None and value > high):
+        bounds = f">= {low}" if high is None else f"in [{low}, {high}]"
+        raise InputError(f"{name}: expected an integer {bounds}, got {shown(int(value))}")
+    return int(value)
+
+
+def as_flag(name: str, value: Any) -> bool:
+    """True or False, nothing that merely counts as one."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{name}: expected True or False, got {shown(value)}")
+    return bool(value)
+
+
+def as_text(name: str, value: Any) -> str:
+    """Text."""
+    if not isinstance(value, str):
+        raise InputError(f"{name}: expected text, got {shown(value)}")
+    return value
+
+
+def as_instance(name: str, value: Any, *kinds: type[Any]) -> Any:
+    """An instance of one of the classes."""
+    if not isinstance(value, kinds):
+        wanted = " or ".join(kind.__name__ for kind in kinds)
+        raise InputError(f"{name}: expected a {wanted}, got {shown(value)}")
+    return value
+
+
+def as_tuple(name: str, value: Any, *kinds: type[Any]) -> tuple[Any, ...]:
+    """Instances of the classes, or anything if there are none, in an iterable that is no text."""
+    if isinstance(value, str | bytes | dict) or not isinstance(value, Iterable):
+        raise InputError(f"{name}: expected a sequence, got {shown(value)}")
+    try:
+        items = tuple(value)
+    except TypeError:  # an array without axes
+        raise InputError(f"{name}: expected a sequence, got {shown(value)}") from None
+    for i, item in enumerate(items if kinds else ()):
+        as_instance(f"{name}[{i}]", item, *kinds)
+    return items
+
+
+def as_iterable(name: str, value: Any) -> Iterable[Any]:
+    """What can be gone through once, maybe long and made as it goes; no text."""
+    if isinstance(value, str | bytes | dict | np.ndarray) or not isinstance(value, Iterable):
+        raise InputError(f"{name}: expected a sequence, got {shown(value)}")
+    return value
+
+
+def as_path(name: str, value: Any) -> Path:
+    """A path, as text or as one, that a file system may have: no null characters, no part of more than 255 bytes."""
+    path = Path(as_instance(name, value, str, os.PathLike))
+    if "\0" in str(path) or any(len(os.fsencode(part)) > 255 for part in path.parts):
+        raise InputError(f"{name}: expected a path, got {shown(str(path))}")
+    return path
+
+
+def as_callable(name: str, value: Any) -> Any:
+    """A function, or None."""
+    if value is not None and not callable(value):
+        raise InputError(f"{name}: expected a function or None, got {shown(value)}")
+    return value
+
+
+def as_seed(name: str, value: Any) -> int:
+    """Of random numbers, in [0, 2^31)."""
+    return as_count(name, value, 0, 2**31 - 1)
+
+
 def as_draws(n: Any, rng: Any) -> int:
     """How many samples to draw, and that the generator is one."""
-    if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < 0:
-        raise InputError(f"sample: expected a count >= 0, got {n!r}")
+    if not isinstance(n, int | np.integer) or isinstance(n, bool) or not 0 <= n < 2**31:
+        raise InputError(f"sample: expected a count >= 0 and below 2^31, got {shown(n)}")
     if not isinstance(rng, np.random.Generator):
         raise InputError(f"sample: rng: expected a numpy Generator such as np.random.default_rng(0), got {rng!r}")
     return int(n)

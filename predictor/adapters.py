@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from checkers.prediction import GaussianMixturePrediction
-from checkers.validate import Array, InputError, as_array, as_option, as_scalar, as_times
+from checkers.validate import Array, InputError, as_array, as_flag, as_instance, as_option, as_scalar, as_times
 from predictor.frames import Frames
 from predictor.growth import Growth
 
@@ -53,7 +53,7 @@ def from_gmm2d(
     log_sigmas = as_array("log_sigmas", _components("log_sigmas", log_sigmas, corrs.shape[1]), shape, largest=20.0)
     covariances = _covariances(np.exp(log_sigmas), corrs)
     given = _plain("log_pis", log_pis)
-    given = given.reshape(given.shape[-1:]) if given.size == corrs.shape[1] else _trimmed("log_pis", given, 2)
+    given = _trimmed("log_pis", given, 1 if given.size == corrs.shape[1] else 2)
     log_weights = as_array("log_pis", given, corrs.shape if given.ndim == 2 else corrs.shape[1:])
     weights = _softmax(log_weights)
     return _prediction(times, weights, means, covariances, modes, frame, labels)
@@ -92,7 +92,8 @@ def from_mode_gaussians(
     """
     times = as_times("times", times)
     as_option("spread", spread, SPREADS)
-    values = as_array("trajectories", _trimmed("trajectories", trajectories, 3)[..., :5], ("K", len(times), 5))
+    given = _trimmed("trajectories", trajectories, 3)
+    values = as_array("trajectories", given[..., :5] if given.ndim else given, ("K", len(times), 5))
     sigmas, corrs = values[..., 2:4], values[..., 4]
     if spread == "sigma":
         bad = np.argwhere(sigmas <= 0)
@@ -102,14 +103,15 @@ def from_mode_gaussians(
         log_sigmas: Array = np.log(sigmas)
     else:
         log_sigmas = as_array(
-            "trajectories[..., 2:4]", sigmas, sigmas.shape, largest=20.0 if not log_sigma_range else 1e9
+            "trajectories[..., 2:4]", sigmas, sigmas.shape, largest=20.0 if log_sigma_range is None else 1e9
         )
     if log_sigma_range is not None:
-        if np.shape(log_sigma_range) != (2,) or not log_sigma_range[0] < log_sigma_range[1]:
-            raise InputError(f"log_sigma_range: expected (lowest, highest), got {log_sigma_range!r}")
-        log_sigmas = np.clip(log_sigmas, *log_sigma_range)
+        lowest, highest = as_array("log_sigma_range", log_sigma_range, (2,), largest=20.0).tolist()
+        if not lowest < highest:
+            raise InputError(f"log_sigma_range: expected (lowest, highest), got {(lowest, highest)}")
+        log_sigmas = np.clip(log_sigmas, lowest, highest)
     if largest_corr is not None:
-        as_scalar("largest_corr", largest_corr, low=0.0, high=1.0)
+        largest_corr = as_scalar("largest_corr", largest_corr, low=0.0, high=1.0)
         corrs = np.clip(corrs, -largest_corr, largest_corr)
     covariances = np.swapaxes(_covariances(np.exp(log_sigmas), corrs), 0, 1)
     weights = _weights(probabilities, len(values), normalise)
@@ -165,6 +167,7 @@ def _prediction(
     if unknown:
         raise InputError(f"{unknown[0]}: expected one of name, length, width, headings; got {unknown[0]!r}")
     if frame is not None:
+        as_instance("frame", frame, Frames)
         if len(frame.origins) != 1:
             raise InputError(f"frame: expected the frame of one target, got {len(frame.origins)}")
         means, covariances = frame.to_world(means[None])[0], frame.covariances_to_world(covariances[None])[0]
@@ -181,8 +184,10 @@ def _plain(name: str, value: Any) -> Array:
         if hasattr(value, step):
             value = getattr(value, step)()
     try:
+        if np.iscomplexobj(value):
+            raise TypeError("complex numbers")
         return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name}: expected an array of numbers, got {type(value).__name__}: {error}") from None
 
 
@@ -222,7 +227,7 @@ def _softmax(log_weights: Array) -> Array:
 
 def _weights(probabilities: Any, modes: int, normalise: bool) -> Array:
     weights = as_array("probabilities", _trimmed("probabilities", probabilities, 1), (modes,))
-    if normalise:
+    if as_flag("normalise", normalise):
         if np.any(weights < 0) or not weights.sum() > 0:
             raise InputError(f"probabilities: expected numbers >= 0, not all 0, got {weights.tolist()}")
         weights = weights / weights.sum()

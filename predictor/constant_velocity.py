@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from checkers.prediction import GaussianMixturePrediction
-from checkers.validate import Array, InputError, as_array, as_scalar, as_times
+from checkers.validate import Array, InputError, as_array, as_instance, as_scalar, as_times
 from predictor.tracks import SLACK, Track
 
 # seconds of past from which the richer parameter set is used, and over which accelerations are estimated
@@ -161,6 +161,7 @@ class ConstantVelocity:
                 speed and heading hold.
             times: 0 is the last observation, uncertain by the spread's `start`.
         """
+        as_instance("past", past, Track)
         times = as_times("times", times)
         if times[0] < 0:
             raise InputError(f"times[0]: expected a time >= 0 after the last observation, got {times[0]:g}")

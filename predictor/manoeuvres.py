@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from checkers.prediction import GaussianMixturePrediction
-from checkers.validate import Array, InputError, as_array, as_scalar, as_times
+from checkers.validate import Array, InputError, as_array, as_instance, as_scalar, as_times, as_tuple
 from predictor.constant_velocity import Situation
 from predictor.lanes import Lane
 from predictor.surroundings import Surroundings, look_around
@@ -263,6 +263,9 @@ class Manoeuvres:
             others: what is known of other agents, on the same clock; who was not observed last when `past` was, is not
                 there. The ego belongs to them.
         """
+        as_instance("past", past, Track)
+        as_tuple("lanes", lanes, Lane)
+        as_tuple("others", others, Track)
         times = as_times("times", times)
         if times[0] < 0:
             raise InputError(f"times[0]: expected a time >= 0 after the last observation, got {times[0]:g}")

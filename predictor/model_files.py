@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +19,9 @@ from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
-from checkers.validate import InputError
+from checkers.archive import check_regular
+from checkers.validate import InputError, as_path
+from checkers.writing import written
 from predictor.baselines import build
 from predictor.calibration import Recalibration
 from predictor.network import MixtureNetwork, NetworkConfig
@@ -69,7 +70,9 @@ def load_model(path: str | Path) -> Model:
     Raises:
         InputError: naming the file: missing, not safetensors, weights of another network, or a card of other weights.
     """
-    path = Path(path)
+    path = as_path("path", path)
+    if not path.name:
+        raise InputError(f"{path}: expected a .safetensors file")
     card = _card(path.with_suffix(".json"))
     content = _bytes(path)
     if hashlib.sha256(content).hexdigest() != card["weights_sha256"]:
@@ -124,22 +127,15 @@ def _card(path: Path) -> dict[str, Any]:
 
 
 def _bytes(path: Path) -> bytes:
+    check_regular(path)
     try:
         if path.stat().st_size > LARGEST:
             raise InputError(f"{path}: expected at most {LARGEST} bytes, got {path.stat().st_size}")
         return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _replace(path: Path, content: bytes) -> None:
-    aside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with written(path) as aside:
         aside.write_bytes(content)
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-    finally:
-        aside.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from checkers.validate import InputError, as_option
+from checkers.validate import InputError, as_count, as_option, as_seed, as_tuple
 from predictor.recordings import Recording
 
 MAPS = ("highway", "merge", "intersection", "roundabout")
@@ -27,9 +27,9 @@ def record(samples: int, seed: int = 0, maps: Sequence[str] = MAPS) -> Iterator[
     Raises:
         InputError: an unknown map, a count below 1, or no highway-env.
     """
-    if not isinstance(samples, int) or samples < 1:
-        raise InputError(f"samples: expected a whole number >= 1, got {samples!r}")
-    if not maps:
+    as_count("samples", samples, 1)
+    as_seed("seed", seed)
+    if not as_tuple("maps", maps, str):
         raise InputError(f"maps: expected some of {', '.join(MAPS)}; got none")
     for i, kind in enumerate(maps):
         as_option(f"maps[{i}]", kind, MAPS)

@@ -14,7 +14,18 @@ from typing import Protocol
 
 import numpy as np
 
-from checkers.validate import Array, InputError, as_array, as_option, as_scalar
+from checkers.validate import (
+    Array,
+    InputError,
+    as_array,
+    as_callable,
+    as_instance,
+    as_option,
+    as_path,
+    as_scalar,
+    as_text,
+    as_tuple,
+)
 from predictor.lanes import Lane
 from predictor.tracks import Track
 
@@ -60,16 +71,17 @@ class Recording:
         put = object.__setattr__
         put(self, "dt", as_scalar("dt", self.dt, low=0.0, strict=True))
         for name, cls in (("tracks", Track), ("lanes", Lane)):
-            put(self, name, tuple(getattr(self, name)))
-            for i, value in enumerate(getattr(self, name)):
-                if not isinstance(value, cls):
-                    raise InputError(f"{name}[{i}]: expected a {cls.__name__}, got {type(value).__name__}")
+            put(self, name, as_tuple(name, getattr(self, name), cls))
         lengths: dict[str, int] = {}
         for i, track in enumerate(self.tracks):
             if track.name in lengths:
                 raise InputError(f"tracks[{i}]: expected unique names, got {track.name!r} again")
             lengths[track.name] = len(track.times)
-        put(self, "focal", tuple(self.focal))
+        put(self, "focal", as_tuple("focal", self.focal, str))
+        as_instance("controls", self.controls, Mapping)
+        for what in ("name", "group", "ego"):
+            if what != "ego" or self.ego is not None:
+                as_text(what, getattr(self, what))
         for what, names in (
             ("focal", self.focal),
             ("controls", self.controls),
@@ -151,7 +163,8 @@ def open_data(path: str | Path, kind: str | None = None, on_bad: Callable[[Input
     Raises:
         InputError: no such path, no files of the kind, or files of several kinds.
     """
-    path = Path(path)
+    path = as_path("path", path)
+    as_callable("on_bad", on_bad)
     if kind is not None:
         as_option("kind", kind, sorted(KINDS))
     if not path.exists():

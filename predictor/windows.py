@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -11,7 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from checkers.validate import Array, InputError, as_array
+from checkers.validate import (
+    Array,
+    InputError,
+    as_array,
+    as_count,
+    as_flag,
+    as_instance,
+    as_iterable,
+    as_scalar,
+    as_seed,
+    as_tuple,
+)
+from checkers.writing import written
 from predictor.grid import Grid
 from predictor.lane_points import MOST, RADIUS, LanePoints
 from predictor.npz import open_npz, read_npz
@@ -54,7 +65,7 @@ class Windows:
     dt: float = 0.1
 
     def __post_init__(self) -> None:
-        past, future, lanes = np.shape(self.past), np.shape(self.future), np.shape(self.lanes)
+        past, future, lanes = (_shape(getattr(self, name)) for name in ("past", "future", "lanes"))
         n, f = (past or (0,))[0], future[1] if len(future) == 3 else "F"
         shapes: dict[str, tuple[int | str, ...]] = {
             "past": (n, "P", 2),
@@ -70,8 +81,9 @@ class Windows:
         known = ("past", "headings", "speeds", "sizes")
         for name, shape in shapes.items():
             object.__setattr__(self, name, _checked(name, getattr(self, name), shape, finite=name in known))
-        scenes = np.array(self.scenes, dtype=np.int64)
-        object.__setattr__(self, "names", tuple(str(name) for name in self.names))
+        scenes = np.array(_checked("scenes", self.scenes, (n,), finite=True), dtype=np.int64)
+        object.__setattr__(self, "names", as_tuple("names", self.names, str))
+        object.__setattr__(self, "dt", as_scalar("dt", self.dt, low=0.0, strict=True))
         if scenes.shape != (n,) or np.any((scenes < 0) | (scenes >= len(self.names))):
             raise InputError(f"scenes: expected ({n},) indices below {len(self.names)}, got shape {scenes.shape}")
         scenes.flags.writeable = False
@@ -88,16 +100,8 @@ class Windows:
     def save(self, path: str | Path) -> None:
         """Write to an `.npz` (no pickle), complete or not at all."""
         values = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
-        target = Path(path)
-        part = target.with_name(f".{target.name}.{os.getpid()}.part")
-        try:
-            with open(part, "wb") as file:
-                np.savez_compressed(file, allow_pickle=False, format=np.asarray(FORMAT), **values)
-            os.replace(part, target)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-        finally:
-            part.unlink(missing_ok=True)
+        with written(path) as part, open(part, "wb") as file:
+            np.savez_compressed(file, allow_pickle=False, format=np.asarray(FORMAT), **values)
 
     @classmethod
     def load(cls, path: str | Path) -> Windows:
@@ -107,12 +111,13 @@ class Windows:
             InputError: naming the file and the field.
         """
         values = read_npz(path, FORMAT)
-        values["names"] = values.get("names", np.array([])).tolist()
-        values["dt"] = float(values.get("dt", np.float64(0.1)))
+        known = {f.name for f in fields(cls)}
+        for key in sorted((known ^ set(values)) - {"dt"}):
+            raise InputError(f"{path}: {key}: {'missing' if key in known else 'unknown'} field")
+        values["names"] = values["names"].tolist()
+        values["dt"] = np.asarray(values.get("dt", 0.1)).tolist()
         try:
             return cls(**values)
-        except TypeError as error:
-            raise InputError(f"{path}: missing or unknown field: {error}") from None
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
@@ -147,14 +152,16 @@ def windows(
     Raises:
         InputError: no window at all, or a recording observed too seldom for `dt`.
     """
-    for name, value, low in (("past", past, 2), ("future", future, 1), ("every", every, 1), ("least", least, 0)):
-        if not isinstance(value, int) or value < low:
-            raise InputError(f"{name}: expected a whole number >= {low}, got {value!r}")
-    rng = np.random.default_rng(rng)
+    counts = {"past": (past, 2), "future": (future, 1), "every": (every, 1), "least": (least, 0)}
+    for name, (value, low) in {**counts, "lane_points": (lane_points, 0)}.items():
+        as_count(name, value, low, 1_000_000)
+    as_flag("focal", focal)
+    rng = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(as_seed("rng", rng))
     groups: dict[str, int] = {}
     parts: list[dict[str, Any]] = []
     tracks = 0
-    for recording in recordings:
+    for i, recording in enumerate(as_iterable("recordings", recordings)):
+        as_instance(f"recordings[{i}]", recording, Recording)
         tracks += len(recording.tracks)
         grid = Grid.of(recording, dt)
         a, k = grid.starts(past, future, least, every)
@@ -205,6 +212,8 @@ def split(samples: Windows, fractions: Sequence[float], seed: int) -> tuple[Wind
     Raises:
         InputError: fractions that do not sum to 1, or a part that stays empty.
     """
+    as_instance("samples", samples, Windows)
+    as_seed("seed", seed)
     shares = as_array("fractions", fractions, ("S",))
     if np.any(shares <= 0) or abs(shares.sum() - 1.0) > 1e-9:
         raise InputError(f"fractions: expected numbers > 0 that sum to 1, got {shares.tolist()}")
@@ -244,9 +253,20 @@ def _ego_future(
     return np.where(near.any(axis=0)[:, None, None], grid.after(grid.truth, drawn, k, future), np.nan)
 
 
+def _shape(value: Any) -> tuple[int, ...]:
+    """() for rows of unequal length, which are refused where they are converted."""
+    try:
+        return np.shape(value)
+    except ValueError:
+        return ()
+
+
 def _checked(name: str, value: Any, shape: tuple[int | str, ...], *, finite: bool) -> Array:
     """As `as_array`, but axes may be empty: a data set may have no lanes, or no samples left."""
-    array = np.array(value, dtype=np.float64)
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name}: expected numbers of shape {shape}, got {type(value).__name__}: {error}") from None
     if array.ndim != len(shape) or any(isinstance(w, int) and w != s for w, s in zip(shape, array.shape, strict=True)):
         raise InputError(f"{name}: expected shape {shape}, got {array.shape}")
     if finite and array.size:

@@ -10,10 +10,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
 from checkers import PATH_DEPENDENCE, InputError, checker
-from checkers.validate import as_option, as_scalar
+from checkers.archive import check_regular, read_arrays
+from checkers.validate import as_callable, as_count, as_option, as_path, as_scalar, as_seed, shown
 from riskplan.batching_child import Children
 from riskplan.batching_shards import check_settings, claimed, done, next_number, parquet, write_shard
 from riskplan.io import SUFFIXES
@@ -96,20 +95,22 @@ def batch(
     """
     began = perf_counter()
     settings = _settings(planner, checker, bound, dependence, time_limit, seed, score)
-    for name, value in (("workers", workers), ("shard_rows", shard_rows)):
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-            raise InputError(f"{name}: expected an integer >= 1, got {value!r}")
+    as_count("workers", workers, 1, 1024)
+    as_count("shard_rows", shard_rows, 1)
+    as_callable("progress", progress)
+    if client is not None and not callable(getattr(client, "submit", None)):
+        raise InputError(f"client: expected a dask.distributed.Client, got {shown(client)}")
     limit = as_scalar("limit", limit, low=0.0, strict=True)
-    folder = Path(out).absolute()
-    found = items(Path(source).absolute(), folder)
-    plans = None if score is None else Path(score).absolute()
+    folder = as_path("out", out).absolute()
+    found = items(as_path("source", source).absolute(), folder)
+    plans = None if score is None else as_path("score", score).absolute()
     if plans is not None and not plans.is_dir():
         raise InputError(f"{score}: expected a folder of plans")
     with claimed(folder):
         check_settings(folder, settings)
         there = done(folder)
         todo = [item for item in found if item.name not in there]
-        keep = None if keep_plans is None else Path(keep_plans).absolute()
+        keep = None if keep_plans is None else as_path("keep_plans", keep_plans).absolute()
         if keep is not None and (keep == folder or folder in keep.parents):
             raise InputError(
                 f"keep_plans: expected a folder outside {out}, which is for shards alone; got {keep_plans}"
@@ -172,8 +173,7 @@ def _settings(
 ) -> dict[str, Any]:
     checker(backend)
     make_planner(planner)
-    if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**31:
-        raise InputError(f"seed: expected an integer in [0, 2^31), got {seed!r}")
+    as_seed("seed", seed)
     if score is not None:
         return {"does": "score", "checker": backend, "planner": None, "seed": seed}
     return {
@@ -191,21 +191,25 @@ def _listed(path: Path) -> list[Item]:
     """The list in a file: column or array `scenario`, and `problem` if there is one."""
     try:
         if path.suffix == ".npz":
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
-                columns = {key: data[key].tolist() for key in ("scenario", "problem") if key in data.files}
+            columns = {key: v.tolist() for key, v in read_arrays(path, "list of scenarios").items()}
         else:
+            check_regular(path)
             pa = parquet()
             table = pa.parquet.read_table(path)
             columns = {key: table[key].to_pylist() for key in ("scenario", "problem") if key in table.column_names}
     except InputError:
         raise
-    except Exception as error:  # zip, zlib, numpy and pyarrow each have errors of their own
+    except Exception as error:  # pyarrow has dozens of kinds
         raise InputError(f"{path}: not a readable list: {' '.join(str(error).split())[:200]}") from None
     names = columns.get("scenario")
     if not isinstance(names, list) or not all(isinstance(n, str) and n for n in names):
         raise InputError(f"{path}: expected a column scenario of paths")
     problems = columns.get("problem", [0] * len(names))
-    if len(problems) != len(names) or not all(isinstance(p, int) and p >= 0 for p in problems):
+    if (
+        not isinstance(problems, list)
+        or len(problems) != len(names)
+        or not all(isinstance(p, int) and not isinstance(p, bool) and p >= 0 for p in problems)
+    ):
         raise InputError(f"{path}: expected a column problem of integers >= 0")
     pairs = zip(names, problems, strict=True)
     return [Item(f"{n}#{p}" if p else n, (path.parent / n).absolute(), p) for n, p in pairs]

@@ -40,7 +40,7 @@ from checkers import EgoBox, EgoCover, EgoEllipsoid, EgoShape, GaussianMixturePr
 from checkers import persistent as persisting
 from checkers.dependence import idiosyncratic
 from checkers.shapes import AlignedEllipsoid
-from checkers.validate import Array
+from checkers.validate import Array, as_instance, as_scalar
 from riskplan.scene import Agent, Scenario
 
 BETWEEN_STEPS = ("grid", "inflated")
@@ -92,6 +92,8 @@ def inflated(scenario: Scenario, bound: float | None) -> Inflated:
     Raises:
         InputError: for agents that are no Gaussian mixtures with persistent modes from time 0 on, and unknown shapes.
     """
+    as_instance("scenario", scenario, Scenario)
+    bound = None if bound is None else as_scalar("bound", bound, low=0.0, high=1.0)
     s, half = scenario, 0.5 * scenario.time_step
     start = abs(s.start.speed)
     speed = min(max(s.vehicle.top_speed, start), start + s.vehicle.top_acceleration * float(s.horizon or 0.0))

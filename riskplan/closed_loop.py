@@ -19,7 +19,7 @@ from checkers import (
     checker,
     persistent,
 )
-from checkers.validate import Array, as_option, as_scalar
+from checkers.validate import Array, as_callable, as_count, as_option, as_scalar, as_seed, as_tuple
 from predictor import ConstantVelocity, Track
 from predictor.tracks import SLACK
 from riskplan.between_steps import BETWEEN_STEPS, RESERVE, inflated
@@ -27,7 +27,7 @@ from riskplan.closed_loop_fallback import braking
 from riskplan.closed_loop_result import Collision, Cycle, Simulation
 from riskplan.closed_loop_traffic import Predictor, Traffic, sampled_traffic, shifted
 from riskplan.futures import make_evaluator
-from riskplan.planning import make_planner
+from riskplan.planning import as_planner, make_planner
 from riskplan.scene import Goal, Scenario, State
 from riskplan.search import Budget, Planner, Problem
 from riskplan.warm_up import warm_up
@@ -83,6 +83,12 @@ def simulate(
     Raises:
         InputError: on bad values, and a roadmap for a vehicle that cannot follow one.
     """
+    seed = as_seed("seed", seed)
+    if steps is not None:
+        as_count("steps", steps, 1)
+    as_callable("stop", stop)
+    if predictor is not None and not callable(getattr(predictor, "predict", None)):
+        raise InputError(f"predictor: expected one such as ConstantVelocity.fitted(), got {predictor!r}")
     scenario, road = _scene_and_traffic(scenario, traffic, problem, seed)
     dependence = as_option("dependence", dependence, PATH_DEPENDENCE)
     loop = _Loop(
@@ -111,8 +117,6 @@ def simulate(
         "seed": seed,
         "predictor": type(loop.predictor).__name__,
     }
-    if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
-        raise InputError(f"steps: expected an integer >= 1 or None, got {steps!r}")
     return loop.run(steps, settings)
 
 
@@ -297,18 +301,20 @@ def _scene_and_traffic(
     scenario: Scenario | CommonRoadScene, traffic: Sequence[Track] | Traffic | None, problem: int, seed: int
 ) -> tuple[Scenario, Traffic]:
     if not isinstance(scenario, Scenario):
+        if not hasattr(scenario, "scenario"):
+            raise InputError(f"scenario: expected a Scenario or a CommonRoad scene, got {scenario!r}")
         chosen = scenario.scenario(problem)
         if traffic is None:
             return chosen, shifted(scenario.tracks, scenario.problems[problem].time)
         scenario = chosen
     if traffic is None:
         return scenario, sampled_traffic(scenario.agents, np.random.default_rng(seed))
-    return scenario, traffic if isinstance(traffic, Traffic) else Traffic(tuple(traffic))
+    return scenario, traffic if isinstance(traffic, Traffic) else Traffic(as_tuple("traffic", traffic))
 
 
 def _prepared(planner: str | Planner, scenario: Scenario, seed: int, dependence: str) -> Planner:
     """The planner, compiled; a `prm` with the roadmap that all of its searches use."""
-    method = make_planner(planner) if isinstance(planner, str) else planner
+    method = make_planner(planner) if isinstance(planner, str) else as_planner(planner)
     warm_up(type(method), dependence)
     if getattr(method, "roadmap", "none") is None:
         from riskplan.ompl.roadmap import Roadmap  # noqa: PLC0415  only where it is needed

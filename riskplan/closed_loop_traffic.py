@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from checkers import ControlPrediction, GaussianMixturePrediction, InputError, Prediction, persistent
-from checkers.validate import Array
+from checkers.validate import Array, as_tuple
 from predictor import Track
 from riskplan.scene import Agent
 
@@ -34,6 +34,9 @@ class Traffic:
     """
 
     tracks: tuple[Track, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tracks", as_tuple("traffic", self.tracks, Track))
 
     def pasts(self, now: float, place: Array, distance: float) -> list[Track]:
         """The pasts, up to and including `now`, of those there now within `distance` of `place` (2,)."""

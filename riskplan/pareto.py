@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from checkers import Checker, InputError
-from checkers.validate import as_scalar
+from checkers.validate import as_scalar, as_tuple
 from riskplan.planning import plan as make_plan
 from riskplan.result import Plan
 from riskplan.scene import Scenario
@@ -81,7 +81,8 @@ def sweep(
     Raises:
         InputError: on bounds that are none, and as `plan`.
     """
-    values = sorted({as_scalar(f"bounds[{i}]", value, low=0.0, high=1.0) for i, value in enumerate(bounds)})
+    given = as_tuple("bounds", bounds)
+    values = sorted({as_scalar(f"bounds[{i}]", value, low=0.0, high=1.0) for i, value in enumerate(given)})
     if not values:
         raise InputError("bounds: expected at least one, got none")
     points: list[SweepPoint] = []

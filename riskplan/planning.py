@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from checkers import PATH_DEPENDENCE, Checker, InputError, TrajectoryRisk, checker
-from checkers.validate import as_option, as_scalar
+from checkers.validate import as_callable, as_instance, as_option, as_scalar
 from riskplan.between_steps import BETWEEN_STEPS, Inflated, for_all_times
 from riskplan.futures import make_evaluator
 from riskplan.refused import REFUSED
@@ -105,7 +105,7 @@ def make_planner(name: str, **options: Any) -> Planner:
     Raises:
         InputError: for an unknown name or option, listing the valid ones.
     """
-    if name in REFUSED:
+    if isinstance(name, str) and name in REFUSED:
         raise InputError(f"{name}: {REFUSED[name]}; expected one of {', '.join(planners())}")
     as_option("planner", name, tuple(planners()))
     module, cls = planners()[name].implementation.split(":")
@@ -115,6 +115,18 @@ def make_planner(name: str, **options: Any) -> Planner:
         if option not in valid:
             raise InputError(f"{name}: unknown option {option!r}; expected one of {', '.join(valid)}")
     planner: Planner = factory(**options)
+    return planner
+
+
+def as_planner(value: Any) -> Planner:
+    """A planner value.
+
+    Raises:
+        InputError: for anything that cannot search.
+    """
+    if isinstance(value, type) or not callable(getattr(value, "search", None)):
+        raise InputError(f"planner: expected one of {', '.join(planners())}, or a planner such as Prm(); got {value!r}")
+    planner: Planner = value
     return planner
 
 
@@ -163,7 +175,9 @@ def plan(
         InputError: on unknown names or bad values.
     """
     chosen = _checker(checker)
-    method = make_planner(planner, **options) if isinstance(planner, str) else planner
+    as_instance("scenario", scenario, Scenario)
+    as_callable("stop", stop)
+    method = make_planner(planner, **options) if isinstance(planner, str) else as_planner(planner)
     asked = {"bound": bound, "step_bound": step_bound, "agent_bound": agent_bound, "dependence": dependence}
     asked |= {"time_limit": time_limit, "seed": seed, "iterations": iterations, "workers": workers}
     settings = _settings(planner, method, chosen, asked)

@@ -15,7 +15,7 @@ from checkers.kernels.path import FIXED
 from checkers.packing import pack_pieces
 from checkers.path import headings_for, shape_against
 from checkers.resample import single_mode
-from checkers.validate import Array
+from checkers.validate import Array, as_count, as_instance, as_seed, as_tuple
 from riskplan.between_steps import for_all_times
 from riskplan.futures import make_evaluator
 from riskplan.kernels.sampled import hits_any, hits_turning
@@ -49,14 +49,16 @@ def audit(
     Raises:
         InputError: for a plan without a trajectory, one that does not fit the scenario, unknown names.
     """
+    as_instance("plan", plan, Plan)
+    as_instance("scenario", scenario, Scenario)
+    as_seed("seed", seed)
+    as_count("monte_carlo", monte_carlo, 0, 2**31 - 1)
     if not plan.solved:
         raise InputError(f"plan: expected a solved plan, got status {plan.status!r}")
     if len(plan.times) > scenario.steps + 1 or not np.allclose(plan.times, scenario.times[: len(plan.times)]):
         raise InputError("plan.times: expected the scenario's grid from 0 on")
-    if not isinstance(monte_carlo, int) or isinstance(monte_carlo, bool) or monte_carlo < 0:
-        raise InputError(f"monte_carlo: expected an integer >= 0, got {monte_carlo!r}")
     dependence = str(plan.settings.get("dependence", "independent"))
-    backends = [c if isinstance(c, Checker) else checker(c) for c in checkers]
+    backends = [c if isinstance(c, Checker) else checker(c) for c in as_tuple("checkers", checkers)]
     wide = for_all_times(scenario, plan.settings) if plan.settings.get("between_steps") == "inflated" else None
     scenario = scenario if wide is None else wide.scenario
     verdicts = tuple(_verdict(b, plan, scenario, dependence) for b in backends)

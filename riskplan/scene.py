@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from checkers import ControlPrediction, EgoShape, InputError, Prediction
-from checkers.validate import FARTHEST, Array, as_array, as_scalar
+from checkers.validate import FARTHEST, Array, as_array, as_instance, as_scalar, as_text, as_tuple
 from riskplan.showing import shown
 from riskplan.vehicles import Vehicle, vehicle_class
 
@@ -80,9 +80,9 @@ class Goal:
     time: tuple[float, float] = (0.0, np.inf)
 
     def __post_init__(self) -> None:
-        regions = tuple(self.regions)
-        if not regions or not all(isinstance(r, GoalRegion) for r in regions):
-            raise InputError(f"goal.regions: expected at least one GoalRegion, got {self.regions!r}")
+        regions = as_tuple("goal.regions", self.regions, GoalRegion)
+        if not regions:
+            raise InputError("goal.regions: expected at least one GoalRegion, got none")
         object.__setattr__(self, "regions", regions)
         object.__setattr__(self, "time", _interval("goal.time", self.time))
 
@@ -152,10 +152,11 @@ class Scenario:
         put(self, "bounds", bounds)
         for name in ("obstacles", "drivable"):
             check = _simple_polygon if name == "obstacles" else _polygon
-            put(self, name, tuple(check(f"{name}[{i}]", p) for i, p in enumerate(getattr(self, name))))
-        put(self, "lanes", tuple(_line(f"lanes[{i}]", p) for i, p in enumerate(self.lanes)))
+            put(self, name, tuple(check(f"{name}[{i}]", p) for i, p in enumerate(as_tuple(name, getattr(self, name)))))
+        put(self, "lanes", tuple(_line(f"lanes[{i}]", p) for i, p in enumerate(as_tuple("lanes", self.lanes))))
         put(self, "time_step", as_scalar("time_step", self.time_step, low=1e-3))
-        put(self, "ego", self.ego if self.ego is not None else self.vehicle.shape())
+        put(self, "ego", as_instance("ego", self.vehicle.shape() if self.ego is None else self.ego, EgoShape))
+        as_text("name", self.name)
         self._check_task()
 
     def _check_task(self) -> None:
@@ -168,7 +169,7 @@ class Scenario:
         s, bounds = self.start, self.bounds
         if not (bounds[0] <= s.x <= bounds[2] and bounds[1] <= s.y <= bounds[3]):
             raise InputError(f"start: ({s.x:g}, {s.y:g}) lies outside the bounds {list(bounds)}")
-        agents = tuple(self.agents)
+        agents = as_tuple("agents", self.agents)
         for i, agent in enumerate(agents):
             if not isinstance(agent, Agent):
                 raise InputError(f"agents[{i}]: expected a prediction, got {type(agent).__name__}")
@@ -298,9 +299,7 @@ def _line(name: str, value: Any) -> Array:
 
 
 def _interval(name: str, value: Any) -> tuple[float, float]:
-    if np.shape(value) != (2,):
-        raise InputError(f"{name}: expected (lowest, highest), got {value!r}")
-    low, high = float(value[0]), float(value[1])
+    low, high = as_array(name, value, (2,), finite=False).tolist()
     if not low <= high or not np.isfinite(low):
         raise InputError(f"{name}: expected lowest <= highest, got {value!r}")
     return low, high

@@ -93,6 +93,56 @@ def test_killed_and_resumed_is_undisturbed_row_by_row(source, undisturbed, tmp_p
     assert rp.batch(source, out, time_limit=20.0).statuses == {}
 
 
+# of a shard's write: before its bytes reach the disk, before it has its name, and before the name reaches the disk
+KILLED_AT = (("fsync", 1), ("replace", 2), ("fsync", 2), ("replace", 1), ("fsync", 5))
+DYING = """
+import os, signal, sys
+import riskplan.batching_shards as shards
+from riskplan.cli import main
+wanted, left = sys.argv[1], [int(sys.argv[2])]
+class Os:
+    def __getattr__(self, name):
+        def call(*args):
+            left[0] -= name == wanted
+            if not left[0]:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return getattr(os, name)(*args)
+        return call if name in ("fsync", "replace") else getattr(os, name)
+shards.os = Os()
+main(sys.argv[3:])
+"""
+
+
+def test_killed_inside_the_write_of_a_shard(source, undisturbed, tmp_path):
+    out, counts = tmp_path / "out", [0]
+    for call, nth in KILLED_AT:
+        words = ["batch", str(source), "--out", str(out), "--time-limit", "20", "--shard-rows", "3"]
+        command = [sys.executable, "-c", DYING, call, str(nth), *words]
+        done_by = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+        assert done_by.returncode == -signal.SIGKILL, done_by.stderr
+        counts.append(len(done(out)))
+    # a shard counts from the moment it has its name
+    assert counts == [0, 0, 3, 6, 6, 12]
+    rp.batch(source, out, time_limit=20.0, shard_rows=7)
+    assert rows(out) == rows(undisturbed[1])
+
+
+def test_killed_at_random_moments_again_and_again(source, undisturbed, tmp_path):
+    out, rng, kills = tmp_path / "out", np.random.default_rng(0), 0
+    for attempt in range(6):
+        process = started(source, out, "--shard-rows", "2")
+        wait_for_shards(process, out, len(list(out.glob("part-*.parquet"))) + 1 + attempt % 2)
+        time.sleep(float(rng.uniform(0.0, 0.05)))
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        kills += process.returncode == -signal.SIGKILL
+        if len(done(out)) > 34:
+            break
+    assert kills >= 3
+    rp.batch(source, out, time_limit=20.0)
+    assert rows(out) == rows(undisturbed[1])
+
+
 def test_interrupt_ends_with_130_and_leaves_shards_that_count(source, tmp_path):
     out = tmp_path / "out"
     process = started(source, out, "--shard-rows", "1")

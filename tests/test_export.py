@@ -12,7 +12,7 @@ import pytest
 import riskplan as rp
 from checkers import Kind, TrajectoryRisk
 from riskplan.cli import main
-from riskplan.io.solution import WHEELBASES
+from riskplan.io.solution import AXLES
 from riskplan.result import Plan
 
 T = 21
@@ -148,7 +148,7 @@ def test_commonroad_s_own_reader_accepts_it(plan, scenario_file, tmp_path, model
     np.testing.assert_array_equal([s.position for s in states], plan.poses[:, :2])
     if model == "KS":
         np.testing.assert_array_equal([s.orientation for s in states], plan.poses[:, 2])
-        np.testing.assert_allclose([np.tan(s.steering_angle) for s in states], 0.02 * WHEELBASES[2])
+        np.testing.assert_allclose([np.tan(s.steering_angle) for s in states], 0.02 * sum(AXLES[2]))
     else:
         np.testing.assert_allclose([np.hypot(s.velocity, s.velocity_y) for s in states], plan.speeds)
 
@@ -169,11 +169,11 @@ def test_the_drivability_checker_finds_it_feasible(plan, scenario_file, tmp_path
     assert [feasible for feasible, *_ in judge.solution_feasible(solution, scenario.dt, problems).values()] == [True]
 
 
-def test_wheelbases_are_commonroad_s():
+def test_axles_are_commonroad_s():
     solution = pytest.importorskip("commonroad.common.solution", reason="needs the extra commonroad")
-    for kind, wheelbase in WHEELBASES.items():
+    for kind, axles in AXLES.items():
         parameters = solution.vehicle_parameters[solution.VehicleType(kind)]
-        np.testing.assert_allclose(wheelbase, parameters.a + parameters.b, rtol=1e-9)
+        np.testing.assert_allclose(axles, (parameters.a, parameters.b), rtol=1e-9)
 
 
 def test_solution_refused(plan, scenario_file, tmp_path):

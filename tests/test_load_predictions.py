@@ -348,9 +348,9 @@ def test_bad_npz(tmp_path):
     refused(save_npz(tmp_path, speeds=np.zeros(2)), f"speeds: expected one of {known}", growth=None)
     refused(save_npz(tmp_path, names=np.zeros(2)), "names: expected 2 texts, got float64 of shape (2,)", growth=None)
     path = save_npz(tmp_path, names=np.array([object(), object()]))
-    refused(path, "not an npz of arrays: it holds pickled objects", growth=None)
+    refused(path, "not a file of predictions: names.npy: it holds pickled objects", growth=None)
     path = write(tmp_path, "q.npz", b"PK\x03\x04 nothing")
-    refused(path, "not an npz of arrays: File is not a zip file", growth=None)
+    refused(path, "not a file of predictions: it is no archive of arrays", growth=None)
     refused(tmp_path / "none.npz", "no such file", growth=None)
 
 

@@ -1,5 +1,6 @@
 """What is shipped, and that the README says what is there."""
 
+import importlib.util
 import json
 import shutil
 import subprocess
@@ -48,7 +49,7 @@ def test_readme_names_every_planner():
 
 
 def test_public_names_exist():
-    for name in rp.__all__:
+    for name in set(rp.__all__) - ({"LearnedPredictor"} if importlib.util.find_spec("torch") is None else set()):
         assert getattr(rp, name) is not None
 
 

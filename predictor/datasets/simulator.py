@@ -6,7 +6,6 @@ No pickle: arrays, and names and counts as JSON. Recordings are written and read
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -15,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from checkers.validate import Array, InputError
+from checkers.validate import Array, InputError, as_instance, as_iterable
+from checkers.writing import written
 from predictor.lanes import Lane
 from predictor.npz import open_npz
 from predictor.recordings import Files, Recording
@@ -35,23 +35,17 @@ def save_recordings(recordings: Iterable[Recording], path: str | Path) -> int:
     Raises:
         InputError: if the place cannot be written.
     """
-    target = Path(path)
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    as_iterable("recordings", recordings)
     count = 0
-    try:
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-            put = partial(_put, archive)
-            put("format", np.asarray(FORMAT))
-            for recording in recordings:
-                for key, value in _packed(recording).items():
-                    put(f"{count}.{key}", value)
-                count += 1
-            put("count", np.asarray(count))
-        os.replace(part, target)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-    finally:
-        part.unlink(missing_ok=True)
+    with written(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        put = partial(_put, archive)
+        put("format", np.asarray(FORMAT))
+        for recording in recordings:
+            as_instance(f"recordings[{count}]", recording, Recording)
+            for key, value in _packed(recording).items():
+                put(f"{count}.{key}", value)
+            count += 1
+        put("count", np.asarray(count))
     return count
 
 

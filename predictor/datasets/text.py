@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from checkers.archive import check_regular
 from checkers.validate import InputError
 
 LARGEST = 200_000_000  # bytes
@@ -15,11 +16,10 @@ def read_text(path: Path) -> str:
     Raises:
         InputError: one line that names the file.
     """
+    check_regular(path)
     try:
         with open(path, "rb") as file:
             content = file.read(LARGEST + 1)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if len(content) > LARGEST:

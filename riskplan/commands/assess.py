@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from checkers import InputError
@@ -15,6 +14,7 @@ from riskplan.commands.shared import (
     check_names,
     for_dependence,
     names_of,
+    place,
     progress,
     scenario_options,
     show,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def add(to: argparse.ArgumentParser) -> None:
     """Its options."""
     scenario_options(to)
-    to.add_argument("trajectory", type=Path, metavar="TRAJECTORY", help="a plan.json")
+    to.add_argument("trajectory", type=place, metavar="TRAJECTORY", help="a plan.json")
     to.add_argument("--checker", action="append", metavar="NAMES", help="repeatable, by comma; default the plan's own")
     audit_options(to)
 

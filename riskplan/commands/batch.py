@@ -8,18 +8,17 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from checkers import InputError
-from riskplan.commands.shared import SOLVED, json_option, risk
+from riskplan.commands.shared import SOLVED, json_option, place, risk
 
 
 def add(to: argparse.ArgumentParser) -> None:
     """Its options."""
-    to.add_argument("source", type=Path, metavar="SOURCE", help="a folder of scenarios, or a .parquet or .npz list")
-    to.add_argument("--out", type=Path, required=True, metavar="DIR", help="shards go there; the same DIR resumes")
-    to.add_argument("--score", type=Path, metavar="DIR", help="judge DIR/NAME/plan.json instead of planning")
+    to.add_argument("source", type=place, metavar="SOURCE", help="a folder of scenarios, or a .parquet or .npz list")
+    to.add_argument("--out", type=place, required=True, metavar="DIR", help="shards go there; the same DIR resumes")
+    to.add_argument("--score", type=place, metavar="DIR", help="judge DIR/NAME/plan.json instead of planning")
     to.add_argument("--planner", default="rrt", metavar="NAME", help="see `riskplan planners`; default rrt")
     to.add_argument("--checker", default="exact", metavar="NAME", help="see `riskplan checkers`; default exact")
     to.add_argument("--bound", type=risk, default=0.01, metavar="RISK", help="on the total, or `none`; default 0.01")
@@ -30,7 +29,7 @@ def add(to: argparse.ArgumentParser) -> None:
     to.add_argument("--workers", type=int, default=1, metavar="N", help="scenarios at once; default 1")
     to.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler, or `local` for one on this machine")
     to.add_argument("--shard-rows", type=int, default=100, metavar="N", help="scenarios per file; default 100")
-    to.add_argument("--keep-plans", type=Path, metavar="DIR", help="write DIR/NAME/plan.json too")
+    to.add_argument("--keep-plans", type=place, metavar="DIR", help="write DIR/NAME/plan.json too")
     json_option(to)
 
 

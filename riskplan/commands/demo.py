@@ -5,11 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from checkers import InputError
-from riskplan.commands.shared import NO_PLAN, SAMPLES, SOLVED, as_dict, check_out, json_option, planned, show, write
+from riskplan.commands.shared import (
+    NO_PLAN,
+    SAMPLES,
+    SOLVED,
+    as_dict,
+    check_out,
+    json_option,
+    place,
+    planned,
+    show,
+    write,
+)
 
 if TYPE_CHECKING:
     from riskplan.scene import Scenario
@@ -19,7 +29,7 @@ DEMO_BOUND, DEMO_TIME_LIMIT = 0.05, 10.0
 
 def add(to: argparse.ArgumentParser) -> None:
     """Its options."""
-    to.add_argument("--out", type=Path, metavar="DIR", help="write DIR/rrt and DIR/prm")
+    to.add_argument("--out", type=place, metavar="DIR", help="write DIR/rrt and DIR/prm")
     to.add_argument(
         "--scene",
         metavar="NAME",

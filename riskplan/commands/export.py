@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 
 from checkers import InputError
-from riskplan.commands.shared import SOLVED, json_option
+from riskplan.commands.shared import SOLVED, json_option, place
 
 FORMATS = ("csv", "parquet", "ros-path", "autoware", "commonroad")
 
 
 def add(to: argparse.ArgumentParser) -> None:
     """Its options."""
-    to.add_argument("plan", type=Path, metavar="PLAN", help="a plan.json")
+    to.add_argument("plan", type=place, metavar="PLAN", help="a plan.json")
     to.add_argument("--to", required=True, metavar="FORMAT", help=", ".join(FORMATS))
-    to.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
+    to.add_argument("--out", type=place, required=True, metavar="FILE", help="file to write")
     to.add_argument("--frame", default="map", metavar="NAME", help="frame of the messages; default map")
     of = to.add_argument_group("commonroad")
-    of.add_argument("--scenario", type=Path, metavar="XML", help="the CommonRoad file the plan was made for")
+    of.add_argument("--scenario", type=place, metavar="XML", help="the CommonRoad file the plan was made for")
     of.add_argument("--problem", type=int, default=0, metavar="N", help="of that file; default 0")
     of.add_argument("--vehicle-model", default="PM", metavar="NAME", help="PM or KS; default PM")
     of.add_argument("--vehicle-type", type=int, default=2, metavar="N", help="1, 2 or 3; default 2 (BMW 320i)")

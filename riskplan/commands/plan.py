@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from riskplan.commands.shared import (
     NO_PLAN,
@@ -13,6 +12,7 @@ from riskplan.commands.shared import (
     check_out,
     for_dependence,
     names_of,
+    place,
     planned,
     risk,
     scenario_options,
@@ -35,7 +35,7 @@ def add(to: argparse.ArgumentParser) -> None:
     to.add_argument("--iterations", type=int, metavar="N", help="of the search, for the same plan again anywhere")
     to.add_argument("--workers", type=int, default=1, metavar="N", help="processes, one seed each; default 1")
     to.add_argument("--audit", action="append", metavar="NAMES", help="checkers for the report; default --checker")
-    to.add_argument("--out", type=Path, metavar="DIR", help="write plan.json, report.json, scene.html, scene.png")
+    to.add_argument("--out", type=place, metavar="DIR", help="write plan.json, report.json, scene.html, scene.png")
     audit_options(to)
 
 

@@ -6,13 +6,12 @@ import argparse
 import json
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from checkers import InputError
-from riskplan.commands.shared import SOLVED, check_out, json_option, progress
+from riskplan.commands.shared import SOLVED, check_out, json_option, place, progress
 from riskplan.commands.train import needing_torch
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 def add(to: argparse.ArgumentParser) -> None:
     """Its options."""
-    to.add_argument("data", type=Path, metavar="DATA", help="a data set: CommonRoad, Argoverse, recorded traffic, …")
+    to.add_argument("data", type=place, metavar="DATA", help="a data set: CommonRoad, Argoverse, recorded traffic, …")
     to.add_argument("--kind", metavar="NAME", help="of the data; default: by the suffix of its files")
     to.add_argument(
         "--weights",
@@ -32,7 +31,7 @@ def add(to: argparse.ArgumentParser) -> None:
     )
     to.add_argument("--time", type=float, metavar="S", help="the present; default: as soon as there is a full past")
     to.add_argument("--raw", action="store_true", help="without the recalibration of the model card")
-    to.add_argument("--out", type=Path, required=True, metavar="DIR", help="a folder per recording, an .npz per agent")
+    to.add_argument("--out", type=place, required=True, metavar="DIR", help="a folder per recording, an .npz per agent")
     json_option(to)
 
 

@@ -7,12 +7,11 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from checkers import InputError
 from riskplan import interrupt
-from riskplan.commands.shared import SOLVED, json_option, names_of
+from riskplan.commands.shared import SOLVED, json_option, names_of, place
 
 if TYPE_CHECKING:
     from predictor.recordings import Recording
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
 def add(to: argparse.ArgumentParser) -> None:
     """Its options."""
-    to.add_argument("--out", type=Path, required=True, metavar="FILE", help="an .npz to write")
+    to.add_argument("--out", type=place, required=True, metavar="FILE", help="an .npz to write")
     to.add_argument("--samples", type=int, default=10_000, metavar="N", help="windows of 5 s, at least; default 10000")
     to.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness; default 0")
     to.add_argument("--map", action="append", metavar="NAME", help="highway, merge, intersection, roundabout; all")

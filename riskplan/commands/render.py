@@ -5,16 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from pathlib import Path
 
-from riskplan.commands.shared import SOLVED, progress, scenario_options
+from riskplan.commands.shared import SOLVED, place, progress, scenario_options
 
 
 def add(to: argparse.ArgumentParser) -> None:
     """Its options."""
     scenario_options(to)
-    to.add_argument("plan", type=Path, nargs="?", metavar="PLAN", help="a plan.json")
-    to.add_argument("--out", type=Path, required=True, metavar="FILE", help=".html, .png, .gif or .mp4")
+    to.add_argument("plan", type=place, nargs="?", metavar="PLAN", help="a plan.json")
+    to.add_argument("--out", type=place, required=True, metavar="FILE", help=".html, .png, .gif or .mp4")
     to.add_argument("--view", default="auto", metavar="NAME", help="3d (needs Chromium, but for .html), top, or auto")
     to.add_argument("--size", type=size, metavar="WxH", help="pixels, 1280x640 say")
     to.add_argument("--time", type=float, default=0.0, metavar="S", help="what a still shows [s]; default 0")

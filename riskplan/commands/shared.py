@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from checkers.validate import InputError, as_path
 from riskplan import interrupt
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ SAMPLES = 20_000
 def scenario_options(to: argparse.ArgumentParser) -> None:
     """The scenario, and which problem of it."""
     to.add_argument(
-        "scenario", type=Path, metavar="SCENARIO", help=".yaml, CommonRoad .xml, Argoverse .csv or .parquet"
+        "scenario", type=place, metavar="SCENARIO", help=".yaml, CommonRoad .xml, Argoverse .csv or .parquet"
     )
     to.add_argument("--problem", type=int, default=0, metavar="N", help="of a CommonRoad file; default 0")
 
@@ -33,6 +34,14 @@ def audit_options(to: argparse.ArgumentParser) -> None:
     to.add_argument("--monte-carlo", type=int, default=SAMPLES, metavar="N", help=f"samples, or 0; default {SAMPLES}")
     to.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness; default 0")
     json_option(to)
+
+
+def place(text: str) -> Path:
+    """A path that a file system may have."""
+    try:
+        return as_path("path", text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def json_option(to: argparse.ArgumentParser) -> None:

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from riskplan import interrupt
-from riskplan.commands.shared import NO_PLAN, SOLVED, check_names, check_out, json_option, progress, scenario_options
+from riskplan.commands.shared import (
+    NO_PLAN,
+    SOLVED,
+    check_names,
+    check_out,
+    json_option,
+    place,
+    progress,
+    scenario_options,
+)
 
 if TYPE_CHECKING:
     from riskplan.closed_loop_result import Simulation
@@ -26,7 +34,7 @@ def add(to: argparse.ArgumentParser) -> None:
     to.add_argument("--replan", type=float, default=0.1, metavar="S", help="between decisions [s]; default 0.1")
     to.add_argument("--time-limit", type=float, default=0.08, metavar="S", help="of each search [s]; default 0.08")
     to.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness; default 0")
-    to.add_argument("--out", type=Path, metavar="DIR", help="write simulation.json")
+    to.add_argument("--out", type=place, metavar="DIR", help="write simulation.json")
     json_option(to)
 
 

@@ -16,6 +16,7 @@ from riskplan.commands.shared import (
     for_dependence,
     json_option,
     names_of,
+    place,
     progress,
     scenario_options,
 )
@@ -31,7 +32,7 @@ def add(to: argparse.ArgumentParser) -> None:
     to.add_argument("--time-limit", type=float, default=1.0, metavar="S", help="of each search [s]; default 1")
     to.add_argument("--iterations", type=int, metavar="N", help="of each search, for the same plans again anywhere")
     to.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness; default 0")
-    to.add_argument("--out", type=Path, metavar="DIR", help="write sweep.json and sweep.png")
+    to.add_argument("--out", type=place, metavar="DIR", help="write sweep.json and sweep.png")
     json_option(to)
 
 

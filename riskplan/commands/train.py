@@ -8,12 +8,11 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from checkers import InputError
 from riskplan import interrupt
-from riskplan.commands.shared import SOLVED, check_out, json_option, progress
+from riskplan.commands.shared import SOLVED, check_out, json_option, place, progress
 
 if TYPE_CHECKING:
     from predictor.train import Listener, Progress
@@ -22,10 +21,10 @@ if TYPE_CHECKING:
 
 def add(to: argparse.ArgumentParser) -> None:
     """Its options."""
-    to.add_argument("--data", type=Path, required=True, metavar="PATH", help="a data set, or windows saved as .npz")
+    to.add_argument("--data", type=place, required=True, metavar="PATH", help="a data set, or windows saved as .npz")
     to.add_argument("--kind", metavar="NAME", help="of the data; default: by the suffix of its files")
     to.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="for the weights, their card, checkpoint, log"
+        "--out", type=place, required=True, metavar="DIR", help="for the weights, their card, checkpoint, log"
     )
     to.add_argument("--target", default="positions", metavar="NAME", help="positions or controls")
     to.add_argument("--architecture", default="lstm", metavar="NAME", help="lstm or mlp")

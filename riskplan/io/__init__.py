@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from checkers import InputError
+from checkers.validate import as_count, as_instance, as_path
 
 if TYPE_CHECKING:
     from riskplan.io.occupancy_grid import OccupancyGrid
@@ -54,7 +55,8 @@ def load_scenario(path: str | Path, problem: int = 0) -> Scenario:
     Raises:
         InputError: one line that names the file, the field, what was expected and what came.
     """
-    suffix = Path(path).suffix.lower()
+    suffix = as_path("path", path).suffix.lower()
+    as_count("problem", problem)
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: expected a scenario in one of {', '.join(SUFFIXES)}; got {suffix or 'no suffix'}")
     if suffix == ".xml":
@@ -100,7 +102,10 @@ def save_scenario(scenario: Scenario, path: str | Path) -> None:
     Raises:
         InputError: for another suffix, or an ego shape the format does not know.
     """
-    if Path(path).suffix.lower() not in (".yaml", ".yml"):
+    from riskplan.scene import Scenario  # noqa: PLC0415
+
+    as_instance("scenario", scenario, Scenario)
+    if as_path("path", path).suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"{path}: expected the suffix .yaml or .yml")
     from riskplan.io.scenario_text import scenario_text  # noqa: PLC0415
     from riskplan.io.text import write_text  # noqa: PLC0415
@@ -123,5 +128,6 @@ def save_plan(plan: Plan, path: str | Path) -> None:
     """Write a plan as strict JSON, complete or not at all: trajectory, risk, settings, versions; no search tree."""
     from riskplan.io.plan_file import plan_text  # noqa: PLC0415
     from riskplan.io.text import write_text  # noqa: PLC0415
+    from riskplan.result import Plan  # noqa: PLC0415
 
-    write_text(path, plan_text(plan))
+    write_text(path, plan_text(as_instance("plan", plan, Plan)))

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from checkers import InputError
-from checkers.validate import Array, as_array, as_option, as_scalar
+from checkers.validate import FARTHEST, Array, as_array, as_flag, as_option, as_scalar
 from riskplan.io.schema import short_key
 from riskplan.io.text import read_bytes, short
 from riskplan.io.yaml_text import parse_yaml
 
 MOST_CELLS = 16_000_000
+FINEST, COARSEST = 1e-4, 1e4  # side of a cell [m]
 UNKNOWN = ("occupied", "free")
 MODES = ("trinary", "scale")
 _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
@@ -43,15 +44,19 @@ class OccupancyGrid:
     closed: bool = True
 
     def __post_init__(self) -> None:
-        blocked = np.asarray(self.blocked)
+        try:
+            blocked = np.asarray(self.blocked)
+        except ValueError:
+            raise InputError("blocked: expected booleans (rows, columns), got rows of unequal length") from None
         if blocked.ndim != 2 or blocked.dtype != np.bool_ or not 0 < blocked.size <= MOST_CELLS:
             raise InputError(
                 f"blocked: expected booleans (rows, columns), at most {MOST_CELLS}, got {blocked.dtype} {blocked.shape}"
             )
         object.__setattr__(self, "blocked", blocked)
-        resolution = as_scalar("resolution", self.resolution, low=0.0, strict=True)
-        object.__setattr__(self, "resolution", resolution)
-        object.__setattr__(self, "origin", tuple(map(float, as_array("origin", self.origin, (3,)))))
+        object.__setattr__(self, "resolution", as_scalar("resolution", self.resolution, low=FINEST, high=COARSEST))
+        origin = as_array("origin", self.origin, (3,), largest=FARTHEST)
+        object.__setattr__(self, "origin", tuple(map(float, origin)))
+        object.__setattr__(self, "closed", as_flag("closed", self.closed))
 
     @cached_property
     def obstacles(self) -> tuple[Array, ...]:
@@ -130,7 +135,7 @@ def _checked(document: Any) -> dict[str, Any]:
     for key in ("resolution", "occupied_thresh", "free_thresh"):
         if isinstance(d[key], bool) or not isinstance(d[key], int | float):
             raise InputError(f"{key}: expected a number, got {short(d[key])}")
-        d[key] = as_scalar(key, d[key], low=0.0, strict=key == "resolution")
+        d[key] = as_scalar(key, d[key], low=0.0)
     if not d["free_thresh"] <= d["occupied_thresh"]:
         raise InputError(
             f"free_thresh: expected at most occupied_thresh {d['occupied_thresh']:g}, got {d['free_thresh']:g}"

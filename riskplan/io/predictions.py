@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zipfile import BadZipFile, ZipFile
-from zlib import error as ZlibError
 
 import numpy as np
 
 from checkers import GaussianMixturePrediction, InputError, Prediction, load_prediction
-from checkers.validate import Array, as_array, as_option
+from checkers.archive import check_regular, read_arrays
+from checkers.validate import Array, as_array, as_flag, as_option, as_path
 from riskplan.io import autoware, nuscenes, waymo
 from riskplan.io.fields import MOST_AGENTS, Reading, naming
 from riskplan.io.text import read_bytes
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 FORMATS = ("scenario", "nuscenes", "waymo", "autoware", "npz", "parquet")
 _SUFFIXES = {".xml": "scenario", ".npz": "npz", ".parquet": "parquet", ".binproto": "waymo", ".pb": "waymo"}
 _DOCUMENTS = {"nuscenes": nuscenes, "waymo": waymo, "autoware": autoware}
-_MOST_BYTES, _MOST_ROWS = 1 << 30, 20_000_000
+_MOST_ROWS = 20_000_000
 _REQUIRED = ("agent", "mode", "weight", "time", "x", "y")
 _COVARIANCE = ("cov_xx", "cov_xy", "cov_yy")
 
@@ -58,6 +57,8 @@ def load_predictions(
     """
     if format is not None:
         as_option("format", format, FORMATS)
+    as_path("path", path)
+    as_flag("normalise", normalise)
     with naming(path):
         reading, kind = Reading(growth, scene, normalise), format or _SUFFIXES.get(Path(path).suffix.lower())
         if kind == "npz":
@@ -111,7 +112,7 @@ def _states_its_spread(reading: Reading) -> None:
 
 
 def _from_npz(path: str | Path, reading: Reading) -> tuple[Prediction, ...]:
-    values = _arrays(path)
+    values = read_arrays(path, "file of predictions")
     if "type" in values:
         _states_its_spread(reading)
         return (load_prediction(path),)
@@ -175,25 +176,6 @@ def _stated(
         raise InputError(f"{where}: {error}") from None
 
 
-def _arrays(path: str | Path) -> dict[str, Any]:
-    """The arrays of an `.npz`, of at most 1 GB together, none of them pickled."""
-    try:
-        with open(path, "rb") as file:
-            claimed = sum(info.file_size for info in ZipFile(file).infolist())
-            if claimed > _MOST_BYTES:
-                raise InputError(f"expected at most {_MOST_BYTES >> 20} MB of arrays, got {claimed >> 20}")
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as data:
-                return {key: data[key] for key in data.files}
-    except FileNotFoundError:
-        raise InputError("no such file") from None
-    except InputError:
-        raise
-    except (ValueError, OSError, EOFError, BadZipFile, ZlibError, AttributeError, TypeError, MemoryError) as error:
-        reason = "it holds pickled objects" if "pickle" in str(error) else " ".join(str(error).split())
-        raise InputError(f"not an npz of arrays: {reason}") from None
-
-
 def _from_parquet(path: str | Path, reading: Reading) -> tuple[Prediction, ...]:
     table = _columns(path)
     agents = table["agent"]
@@ -240,6 +222,7 @@ def _columns(path: str | Path) -> dict[str, Any]:
         import pyarrow.parquet as pq  # noqa: PLC0415
     except ImportError:
         raise InputError("reading parquet needs pyarrow: pip install '.[data]'") from None
+    check_regular(path)
     try:
         with open(path, "rb") as file:
             source = pq.ParquetFile(file)
@@ -251,8 +234,6 @@ def _columns(path: str | Path) -> dict[str, Any]:
                 raise InputError(f"expected 1 to {_MOST_ROWS} rows, got {count}")
             wanted = [n for n in (*_REQUIRED, *_COVARIANCE, "heading", "length", "width") if n in names]
             table = source.read(columns=wanted)
-    except FileNotFoundError:
-        raise InputError("no such file") from None
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001  pyarrow raises many kinds for malformed files

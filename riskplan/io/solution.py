@@ -1,7 +1,9 @@
 """Plans as CommonRoad solutions: the XML that commonroad-io reads and the CommonRoad server scores.
 
 A plan's car is a point moving along its heading within limits of acceleration and curvature: CommonRoad's point mass
-PM, and its kinematic single-track model KS up to the rate of steering. Positions are the body's centre in both.
+PM. A plan of a `KinematicBicycle` with the axles of the vehicle type (`AXLES`) and a rate of steering of at most
+0.4 rad/s is one of CommonRoad's kinematic single-track model KS. Positions are the body's centre in both; the speed of
+KS is the rear axle's.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from xml.etree import ElementTree as et
 import numpy as np
 
 from checkers import InputError
-from checkers.validate import Array, as_option
+from checkers.validate import Array, as_count, as_instance, as_option
 from riskplan.io.text import write_text
 from riskplan.io.trajectory import columns
 from riskplan.result import Plan
@@ -20,8 +22,9 @@ from riskplan.result import Plan
 MODELS = ("KS", "PM")
 COST_FUNCTIONS = ("JB1", "SA1", "WX1", "SM1", "SM2", "SM3", "MW1", "TR1", "TR2")
 PM_COST_FUNCTIONS = ("JB1", "WX1", "MW1")
-# wheelbase a + b [m] of the vehicle types: Ford Escort, BMW 320i, VW Vanagon (Althoff & Würsching 2020, table 6)
-WHEELBASES = {1: 2.39268, 2: 2.5789128, 3: 2.471928}
+# a, b [m] from the centre to the front and the rear axle of Ford Escort, BMW 320i, VW Vanagon
+# (Althoff & Würsching 2020, table 6)
+AXLES = {1: (0.88392, 1.50876), 2: (1.1561957064, 1.4227170936), 3: (1.1507916024, 1.3211363976)}
 
 
 def save_solution(
@@ -41,7 +44,8 @@ def save_solution(
         path: file to write.
         commonroad: the scenario's XML, which the ids and the initial time step are read from.
         problem: which planning problem of it, in the file's order.
-        vehicle_model: "PM", or "KS", which limits the rate of steering: a plan's car does not, and mostly fails there.
+        vehicle_model: "PM", or "KS" for a plan of a `KinematicBicycle`: a `KinematicCar` knows no rate of steering, and
+            its plans mostly fail there.
         vehicle_type: 1 Ford Escort, 2 BMW 320i, 3 VW Vanagon: the body the solution is judged with. Plan with its size.
         cost_function: of CommonRoad, by which the server ranks.
 
@@ -50,8 +54,10 @@ def save_solution(
     """
     as_option("vehicle_model", vehicle_model, MODELS)
     as_option("cost_function", cost_function, PM_COST_FUNCTIONS if vehicle_model == "PM" else COST_FUNCTIONS)
-    if vehicle_type not in WHEELBASES:
-        raise InputError(f"vehicle_type: expected one of {', '.join(map(str, WHEELBASES))}; got {vehicle_type!r}")
+    as_instance("plan", plan, Plan)
+    as_count("problem", problem)
+    if isinstance(vehicle_type, bool) or not isinstance(vehicle_type, int) or vehicle_type not in AXLES:
+        raise InputError(f"vehicle_type: expected one of {', '.join(map(str, AXLES))}; got {vehicle_type!r}")
     from predictor.io_commonroad import open_commonroad  # noqa: PLC0415  an extra
 
     scenario, problems = open_commonroad(commonroad)
@@ -59,7 +65,7 @@ def save_solution(
     if not 0 <= problem < len(found):
         raise InputError(f"problem: expected 0 to {len(found) - 1}, got {problem!r}")
     first = int(found[problem].initial_state.time_step)
-    states = _states(plan, vehicle_model, WHEELBASES[vehicle_type])
+    states = _states(plan, vehicle_model, AXLES[vehicle_type])
     steps = _time_steps(plan.times, float(scenario.dt)) + first
     root = et.Element("CommonRoadSolution")
     name = f"{vehicle_model}{vehicle_type}:{cost_function}:{scenario.scenario_id}"
@@ -75,18 +81,22 @@ def save_solution(
     write_text(path, '<?xml version="1.0" ?>\n' + et.tostring(root, encoding="unicode") + "\n")
 
 
-def _states(plan: Plan, model: str, wheelbase: float) -> dict[str, Array]:
+def _states(plan: Plan, model: str, axles: tuple[float, float]) -> dict[str, Array]:
     """XML name → values (T,)."""
     curvature = columns(plan)["curvature"]
     x, y, heading = plan.poses.T
     if model == "PM":
         along, across = plan.speeds * np.cos(heading), plan.speeds * np.sin(heading)
         return {"x": x, "y": y, "xVelocity": along, "yVelocity": across}
-    # the steering angle is a state there: at a time between two curvatures, their middle
-    curvature = np.append(curvature[:-1], curvature[-2:-1])
-    middle = 0.5 * (np.append(curvature[:1], curvature)[:-1] + curvature)
-    angle = np.arctan(wheelbase * middle)
-    return {"x": x, "y": y, "steeringAngle": angle, "velocity": plan.speeds, "orientation": heading}
+    wheelbase, speeds = sum(axles), plan.speeds
+    if plan.steering.any():
+        angle = plan.steering
+        speeds = speeds * np.cos(np.arctan(axles[1] / wheelbase * np.tan(angle)))  # of the rear axle
+    else:  # a car without wheels that turn: at a time between two curvatures, their middle
+        curvature = np.append(curvature[:-1], curvature[-2:-1])
+        middle = 0.5 * (np.append(curvature[:1], curvature)[:-1] + curvature)
+        angle = np.arctan(wheelbase * middle)
+    return {"x": x, "y": y, "steeringAngle": angle, "velocity": speeds, "orientation": heading}
 
 
 def _time_steps(times: Array, dt: float) -> Array:

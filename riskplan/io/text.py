@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import reprlib
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from checkers import InputError
 from checkers.archive import check_regular
 from checkers.validate import Array
+from checkers.writing import written
 
 LARGEST = 50_000_000  # bytes of a text file
 MOST_VALUES = 2_000_000  # numbers, texts, lists and mappings of a text file; predictions beyond that belong in an .npz
@@ -45,15 +45,8 @@ def write_text(path: str | Path, text: str) -> None:
     Raises:
         InputError: if the place cannot be written.
     """
-    target = Path(path)
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
+    with written(path) as part:
         part.write_bytes(text.encode())
-        os.replace(part, target)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def numbers(name: str, value: Any) -> Array:

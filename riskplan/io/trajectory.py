@@ -5,14 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from checkers import InputError
-from checkers.validate import Array, as_option
+from checkers.validate import Array, as_instance, as_option, as_path, as_text
+from checkers.writing import written
 from riskplan.io.text import write_text
 from riskplan.result import Plan
 
@@ -37,7 +37,9 @@ def save_trajectory(plan: Plan, path: str | Path, format: str | None = None, fra
     Raises:
         InputError: for a plan without a trajectory, an unknown format, or a place that cannot be written.
     """
-    suffix = Path(path).suffix.lower().lstrip(".")
+    as_instance("plan", plan, Plan)
+    as_text("frame", frame)
+    suffix = as_path("path", path).suffix.lower().lstrip(".")
     if format is None and suffix not in ("csv", "parquet"):
         raise InputError(f"{path}: expected the suffix .csv or .parquet, or a format: {', '.join(FORMATS)}")
     kind = as_option("format", suffix if format is None else format, FORMATS)
@@ -129,12 +131,5 @@ def _parquet(table: dict[str, Array], path: str | Path) -> None:
         from pyarrow import parquet  # noqa: PLC0415
     except ImportError:
         raise InputError(f"{path}: writing parquet needs pyarrow: pip install '.[data]'") from None
-    target = Path(path)
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
+    with written(path) as part:
         parquet.write_table(pa.table({name: pa.array(c, from_pandas=True) for name, c in table.items()}), part)
-        os.replace(part, target)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        part.unlink(missing_ok=True)

@@ -86,7 +86,7 @@ def _document(loader: Any) -> Any:
 
 def _value(loader: Any, event: Any, depth: int) -> Any:
     if isinstance(event, yaml.AliasEvent) or event.anchor is not None:
-        raise _Refused(event, "anchors and aliases are not supported")
+        raise _Refused(event, "anchors and aliases are not supported: repeat the value, or keep it in an .npz")
     if event.tag not in (None, "!", "tag:yaml.org,2002:str"):
         raise _Refused(event, f"tags are not supported, got {event.tag}")
     if isinstance(event, yaml.ScalarEvent):

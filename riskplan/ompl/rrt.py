@@ -11,8 +11,7 @@ from ompl import base as ob
 from ompl import control as oc
 from ompl import util as ou
 
-from checkers import InputError
-from checkers.validate import Array
+from checkers.validate import Array, as_count, as_scalar
 from riskplan.kernels.motion import extend, extend_towards, out_of_reach
 from riskplan.kernels.steer import NODE, STATE
 from riskplan.ompl.cost import Price
@@ -42,10 +41,8 @@ class Rrt:
     goal_bias: float = 0.2
 
     def __post_init__(self) -> None:
-        if not isinstance(self.motion_steps, int) or self.motion_steps < 1:
-            raise InputError(f"rrt: motion_steps: expected an integer >= 1, got {self.motion_steps!r}")
-        if not 0.0 <= self.goal_bias <= 1.0:
-            raise InputError(f"rrt: goal_bias: expected a number in [0, 1], got {self.goal_bias!r}")
+        as_count("rrt: motion_steps", self.motion_steps, 1)
+        as_scalar("rrt: goal_bias", self.goal_bias, low=0.0, high=1.0)
 
     def search(self, problem: Problem, budget: Budget, seed: int) -> SearchResult:
         """Grow the tree until the goal is reached within the budget, or time is up."""

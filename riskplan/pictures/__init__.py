@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import warnings
 from collections.abc import Callable
@@ -12,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from checkers import InputError
+from checkers.validate import as_count, as_flag, as_option, as_path, as_scalar, as_text, as_tuple
+from checkers.writing import written
 from riskplan.pictures.agent_view import Detail
 from riskplan.pictures.picture import Picture, picture
 from riskplan.result import Plan
@@ -65,14 +66,16 @@ def render(
         InputError: on an unknown suffix or view, a directory that cannot be made, a size below 200 by 150, a
             negative count, or if what the picture needs is not there.
     """
-    target = Path(path)
+    target = as_path("path", path)
     suffix = target.suffix.lower()
     if suffix not in FORMATS:
         valid = ", ".join(FORMATS)
         raise InputError(f"{target}: expected a suffix out of {valid}; got {suffix or 'none'!r}")
     detail = _detail(samples, density, seed)
-    if not math.isfinite(time):
-        raise InputError(f"time: expected a finite number, got {time!r}")
+    time = as_scalar("time", time)
+    as_flag("follow", follow)
+    if title is not None:
+        as_text("title", title)
     size = _checked_size(size, suffix)
     solid = _solid(view, suffix)
     if suffix == ".mp4":
@@ -114,22 +117,21 @@ def draw(
     """
     from riskplan.pictures import scene3d
 
+    if not all(hasattr(vis, name) for name in ("__getitem__", "delete", "set_object")):
+        raise InputError(f"vis: expected a meshcat Visualizer, got {type(vis).__name__}")
     pic = picture(scenario, plan, None, _detail(samples, density, seed))
     vis["/riskplan"].delete()
     scene3d.draw(vis, pic)
 
 
 def _detail(samples: int, density: int, seed: int) -> Detail:
-    for name, count in (("samples", samples), ("density", density), ("seed", seed)):
-        if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 0:
-            raise InputError(f"{name}: expected an integer >= 0, got {count!r}")
-    return Detail(int(samples), int(density), int(seed))
+    counts = (("samples", samples, 100_000), ("density", density, 100_000), ("seed", seed, 2**31 - 1))
+    return Detail(*(as_count(name, count, 0, most) for name, count, most in counts))
 
 
 def _solid(view: str, suffix: str) -> bool:
     """Whether to draw in 3-D."""
-    if view not in VIEWS:
-        raise InputError(f"view: expected one of {', '.join(VIEWS)}; got {view!r}")
+    as_option("view", view, VIEWS)
     if suffix == ".html":
         if view == "top":
             raise InputError("view: .html is drawn in 3-D only; for a top view ask for .png, .gif or .mp4")
@@ -151,11 +153,14 @@ def _solid(view: str, suffix: str) -> bool:
 def _checked_size(size: tuple[int, int] | None, suffix: str) -> tuple[int, int] | None:
     if size is None:
         return None
-    if len(size) != 2 or not (size[0] >= 200 and size[1] >= 150):
-        raise InputError(f"size: expected at least (200, 150) pixels, got {size}")
-    if suffix == ".mp4" and (size[0] % 2 or size[1] % 2):
-        raise InputError(f"size: expected even numbers for .mp4, got {size}")
-    return int(size[0]), int(size[1])
+    given = as_tuple("size", size, int, np.integer)
+    if len(given) != 2 or not (given[0] >= 200 and given[1] >= 150):
+        raise InputError(f"size: expected at least (200, 150) pixels, got {given}")
+    if max(given) > 10_000:
+        raise InputError(f"size: expected at most 10000 pixels a side, got {given}")
+    if suffix == ".mp4" and (given[0] % 2 or given[1] % 2):
+        raise InputError(f"size: expected even numbers for .mp4, got {given}")
+    return int(given[0]), int(given[1])
 
 
 # meshcat and matplotlib take half a second each to import: only when they are needed
@@ -195,9 +200,5 @@ def _film(pic: Picture, size: tuple[int, int] | None, follow: bool, solid: bool,
 
 def _write(path: Path, content: bytes) -> None:
     """All or nothing: an interrupt leaves what was there before."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with written(path) as part:
         part.write_bytes(content)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from checkers import EgoShape, Kind
-from checkers.validate import Array
+from checkers.validate import Array, as_instance
 from riskplan.pictures import geometry, palette
 from riskplan.pictures.agent_view import AgentView, Detail, Frame, agent_view, assumed
 from riskplan.result import Plan
@@ -90,6 +90,9 @@ def picture(
     scenario: Scenario, plan: Plan | None = None, title: str | None = None, detail: Detail | None = None
 ) -> Picture:
     """Collect what there is to see; `plan` may be None or unsolved."""
+    as_instance("scenario", scenario, Scenario)
+    if plan is not None:
+        as_instance("plan", plan, Plan)
     start = scenario.start
     length, width = scenario.vehicle.body
     frame = Frame(np.array([start.x, start.y]), max(1.0, _SMALLEST / length))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from checkers import Checker, InputError, checker
-from checkers.validate import Array, as_scalar
+from checkers.validate import FARTHEST, Array, as_array, as_instance, as_scalar
 from riskplan.scene import Scenario
 
 _MOST_PLACES = 400_000
@@ -56,10 +56,12 @@ def risk_map(
     Raises:
         InputError: without agents, for an empty window, more than 400,000 places, or what the backend refuses.
     """
+    as_instance("scenario", scenario, Scenario)
+    time = as_scalar("time", time)
     if not scenario.agents:
         raise InputError("agents: expected at least one, got none")
     spacing = as_scalar("spacing", spacing, low=0.0, strict=True)
-    x0, y0, x1, y1 = scenario.bounds if window is None else window
+    x0, y0, x1, y1 = scenario.bounds if window is None else as_array("window", window, (4,), largest=FARTHEST).tolist()
     if not (x0 < x1 and y0 < y1):
         raise InputError(f"window: expected x_min < x_max and y_min < y_max, got {(x0, y0, x1, y1)}")
     if (x1 - x0) / spacing * ((y1 - y0) / spacing) > _MOST_PLACES:
@@ -68,7 +70,7 @@ def risk_map(
     turn = scenario.start.heading if heading is None else as_scalar("heading", heading)
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
     poses = np.concatenate([places, np.full((len(places), 1, 1), turn)], axis=-1)  # (Y X, 1, 3)
-    judge = checker(backend) if isinstance(backend, str) else backend
+    judge = backend if isinstance(backend, Checker) else checker(backend)
     total, kinds = np.zeros(len(poses)), set()
     for agent in scenario.agents:
         now = agent.at([time])

@@ -15,16 +15,23 @@ from typing import Any
 
 import numpy as np
 
-from . import corpus, mutate
+from . import corpus, foreign, mutate
 from .targets import Targets
 from .trial import limits, tried
 
 # part of all inputs that each importer gets: cheap ones more
-SHARES = {"yaml": 0.30, "plan": 0.25, "npz": 0.27, "xml": 0.10, "roadmap": 0.06, "cli": 0.02}
+SHARES = {
+    **{"yaml": 0.08, "plan": 0.08, "npz": 0.12, "xml": 0.06, "roadmap": 0.06, "cli": 0.01},
+    **{"argoverse1": 0.05, "argoverse2": 0.04, "nuscenes": 0.06, "waymo": 0.06, "waymo-bytes": 0.08, "autoware": 0.05},
+    **{"grid": 0.05, "agents-npz": 0.05, "agents-parquet": 0.04, "tensors": 0.05, "eth-ucy": 0.02, "recordings": 0.02},
+    **{"windows": 0.01, "batch-list": 0.01},
+}
 
 
 def maker(target: str) -> Callable[[random.Random], Any]:
     """How inputs of a target are made."""
+    if target in foreign.FILES:
+        return foreign.maker(target)
     scenes, predictions, commands = corpus.scenarios(), corpus.predictions(), corpus.commands()
     xml, plan, roadmap = corpus.commonroad(), corpus.plan(), corpus.roadmap()
 
@@ -60,7 +67,7 @@ def campaign(inputs: int, only: str | None, seed: int, seconds: float, megabytes
         targets = Targets(Path(name)).all()
         for target in [only] if only else list(SHARES):
             make, count = maker(target), inputs if only else round(inputs * SHARES[target])
-            for warm in _seeds(target):  # compiled before the clock and the limit count
+            for warm in seeds(target):  # compiled before the clock and the limit count
                 targets[target](warm)
             accepted, slowest, began = 0, 0.0, perf_counter()
             with limits(megabytes):
@@ -88,7 +95,10 @@ def campaign(inputs: int, only: str | None, seed: int, seconds: float, megabytes
     return 1 if findings else 0
 
 
-def _seeds(target: str) -> list[Any]:
+def seeds(target: str) -> list[Any]:
+    """Valid inputs of a target."""
+    if target in foreign.FILES:
+        return list(foreign.seeds(target))
     return {
         "yaml": [corpus.yaml_bytes(d) for d in corpus.scenarios()],
         "plan": [corpus.yaml_bytes(corpus.plan())],

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import atheris
 
-from . import corpus
 from .trial import limits, tried
 
 _CODE = ["riskplan", "predictor", "checkers", "yaml", "zipfile", "commonroad.common.reader"]
@@ -20,23 +19,17 @@ _CODE = ["riskplan", "predictor", "checkers", "yaml", "zipfile", "commonroad.com
 def guided(target: str, runs: int, seconds: float, megabytes: int, keep: Path | None) -> int:
     """Fuzz one importer; print the count and the findings. Ends the process, as libFuzzer does."""
     os.environ["NUMBA_DISABLE_JIT"] = "1"  # instrumented kernels do not compile: run them as the Python they are
-    with atheris.instrument_imports(include=_CODE):
-        from .targets import Targets  # noqa: PLC0415
-    seeds = {
-        "yaml": [corpus.yaml_bytes(d) for d in corpus.scenarios()],
-        "plan": [corpus.yaml_bytes(corpus.plan())],
-        "npz": [corpus.npz(d) for d in corpus.predictions()],
-        "roadmap": [corpus.npz(corpus.roadmap())],
-        "xml": [corpus.commonroad()],
-    }[target]
     folder = Path(tempfile.mkdtemp(prefix="riskplan-fuzz-"))
     pool = folder / "corpus"
     pool.mkdir()
-    for seed in seeds:
-        (pool / hashlib.sha1(seed).hexdigest()).write_bytes(seed)  # noqa: S324  a file name
-    take = Targets(folder, judged=False).all()[target]
-    for seed in seeds:
-        take(seed)
+    with atheris.instrument_imports(include=_CODE):
+        from .campaign import seeds  # noqa: PLC0415
+        from .targets import Targets  # noqa: PLC0415
+
+        take = Targets(folder, judged=False).all()[target]
+        for seed in seeds(target):  # readers are imported when first used
+            (pool / hashlib.sha1(seed).hexdigest()).write_bytes(seed)  # noqa: S324  a file name
+            take(seed)
     findings: Counter[str] = Counter()
     counts = [0, 0]
 

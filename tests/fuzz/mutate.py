@@ -84,6 +84,8 @@ RULES = [
 TOKENS = [b"\x00", b"\xff\xfe", b"&a", b"*a", b"!!python/object:os.system", b"---\n", b"<!DOCTYPE a>", b"]]>", b"{", b"[", b"}", b"]",
           b": ", b"- ", b"\n", b"1e309", b"-", b"'", b'"', b"PK\x05\x06", b"\x93NUMPY", b"<", b">", b"&lt;", b".inf", b"99999999999"]  # fmt: skip
 
+TEXTS = ("", "x", "nan", "inf", "-inf", "1e308", "-1e308", "1e9", "1e12", "1e-320", "0", "-1", "1", "4", "99999999", "1e99999", "0x10", "٣")  # fmt: skip
+
 
 def nest(depth: int, value: Any = 0) -> Any:
     """A list in a list in a list."""
@@ -284,27 +286,7 @@ def xml(rng: random.Random, seed: bytes) -> bytes:
 
 
 def _text(rng: random.Random) -> str:
-    values = (
-        "",
-        "x",
-        "nan",
-        "inf",
-        "-inf",
-        "1e308",
-        "-1e308",
-        "1e9",
-        "1e12",
-        "1e-320",
-        "0",
-        "-1",
-        "1",
-        "4",
-        "99999999",
-        "1e99999",
-        "0x10",
-        "٣",
-    )
-    return rng.choice(values)
+    return rng.choice(TEXTS)
 
 
 def command(rng: random.Random, seed: list[str]) -> list[str]:

@@ -7,6 +7,7 @@ import io
 import os
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ import numpy as np
 import riskplan as rp
 from checkers.backends.monte_carlo import clopper_pearson
 
-from . import corpus
+from . import corpus, foreign
 
 LONGEST = 2000  # characters of a message
+EGO = rp.EgoEllipsoid.around(4.5, 1.8, 4.5, 1.8)
 
 
 class Finding(Exception):
@@ -43,6 +45,7 @@ class Targets:
             "plan": self._plan,
             "roadmap": self._roadmap,
             "cli": self._command,
+            **{name: partial(self._foreign, name) for name in foreign.FILES},
         }
 
     def _file(self, name: str, data: bytes) -> Path:
@@ -91,6 +94,38 @@ class Targets:
             finite("roadmap", roadmap.vertices, roadmap.lengths, roadmap.curves)
         return roadmap is not None
 
+    def _foreign(self, target: str, data: bytes) -> bool:
+        folder = self.folder / target
+        folder.mkdir(exist_ok=True)
+        names = foreign.FILES[target]
+        paths = [self._file(f"{target}/{n}", p) for n, p in zip(names, foreign.parted(data, len(names)), strict=True)]
+        for path in paths[1:]:
+            if not path.stat().st_size:
+                path.unlink()
+        found = refused(lambda: foreign.read(target, paths))
+        if found is not None:
+            self._check_foreign(found, judged=self.judged and zlib.crc32(data) % 4 == 0)
+        return found is not None
+
+    def _check_foreign(self, found: Any, *, judged: bool) -> None:
+        """What was read is as promised: scenarios and agents as everywhere; a grid's obstacles hold its cells."""
+        if isinstance(found, rp.Scenario):
+            check_scenario(found, judged=judged)
+        elif isinstance(found, rp.OccupancyGrid):
+            check_grid(found)
+        elif isinstance(found, rp.Windows):
+            finite("windows", found.past, found.headings, found.speeds, found.sizes)
+        else:
+            for item in found if isinstance(found, list | tuple) else [found]:
+                if isinstance(item, rp.Recording):
+                    for track in item.tracks:
+                        finite("recording", track.times, track.positions, track.headings, track.speeds)
+                elif isinstance(item, rp.GaussianMixturePrediction):
+                    check_agent(item)
+                    last = item.at(item.times[-1:])
+                    if judged:
+                        check_risk(last, np.append(last.means[0, 0] + 1.0, 0.3), EGO)
+
     def _command(self, words: list[str]) -> bool:
         from riskplan.cli import main  # noqa: PLC0415
 
@@ -138,6 +173,26 @@ def check_scenario(s: rp.Scenario, *, judged: bool) -> None:
                 check_risk(last, pose, s.ego)
         except rp.InputError:
             continue
+
+
+def check_grid(grid: rp.OccupancyGrid) -> None:
+    """The middles of blocked cells lie in an obstacle, those of free cells in none."""
+    x, y, yaw = grid.origin
+    c, s = np.cos(yaw), np.sin(yaw)
+    if not np.isfinite(grid.resolution * max(grid.blocked.shape)) or grid.blocked.size > 10_000:
+        return
+    obstacles = grid.obstacles
+    finite("grid", *obstacles)
+    inside = np.zeros(grid.blocked.shape, dtype=bool)
+    rows, columns = np.indices(inside.shape)
+    turned = np.array([[c, -s], [s, c]])  # columns: the grid's axes in the world
+    size = grid.resolution * max(inside.shape) + abs(x) + abs(y)
+    for corners in obstacles:
+        own = (corners - [x, y]) @ turned / grid.resolution
+        low, high = own.min(axis=0), own.max(axis=0)
+        inside |= (columns + 0.5 > low[0]) & (columns + 0.5 < high[0]) & (rows + 0.5 > low[1]) & (rows + 0.5 < high[1])
+    if size < 1e9 * grid.resolution and not np.array_equal(inside, grid.blocked):
+        raise Finding("grid: obstacles are not the blocked cells")
 
 
 def check_agent(agent: Any) -> None:

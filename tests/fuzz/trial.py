@@ -45,7 +45,9 @@ def tried(target: Callable[[Any], bool], data: Any, seconds: float) -> tuple[boo
     began = process_time()
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, 12 * seconds)
-    faulthandler.dump_traceback_later(60 + 24 * seconds, exit=True)  # if it hangs where no signal is heard
+    faulthandler.dump_traceback_later(
+        60 + 24 * seconds, exit=True, file=sys.__stderr__
+    )  # if it hangs where no signal is heard
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
