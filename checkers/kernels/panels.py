@@ -152,7 +152,7 @@ def _difference(a, b):
 
     Where a gap closes, the ends are the two sides of the gap.
     """
-    for i in range(min(a[SPANS], b[SPANS], KEPT)):
+    for i in range(min(int(a[SPANS]), int(b[SPANS]), KEPT)):
         at = NAMES + 2 * i
         if a[at] != b[at]:
             return (a[at], False, b[at], False, i) if a[SPANS] == b[SPANS] else (-1.0, False, -1.0, False, -1)
