@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from checkers.kernels.path import first_hits
+from checkers.kernels.given import first_hits
 from checkers.kind import Kind
 from checkers.validate import Array
 

@@ -1,4 +1,4 @@
-"""From poses, one mode and a shape to collision sets, and these swept: per path, per step, or per step given ξ."""
+"""From poses, one mode and a shape to collision sets, and these swept: per path or per step."""
 
 import math
 
@@ -78,24 +78,3 @@ def sweep_steps(shape_kind, shape, poses, means, roots, headings, tolerance, val
         for t in range(poses.shape[1]):
             place(work, 0, shape_kind, shape, poses[b, t], means[t, 0], means[t, 1], roots[t], headings[t])
             value[b, t], error[b, t] = sweep(kind_of(shape_kind), work, len(shape), 1, tolerance, nothing)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def first_hits(shape_kind, shape, poses, means, factors, roots, headings, nodes, tolerance, out):
-    """Fill out (N, T): probability that the first hit is at step t, given ξ = nodes[n].
-
-    Args:
-        poses: (T, 3); factors: (T, 2, R); roots: (T, 2, 2) of the covariance of what is independent; nodes: (N, R).
-    """
-    work, nothing = workspace(len(shape)), np.empty(0)
-    for n in range(len(nodes)):
-        missed = 1.0
-        for t in range(len(poses)):
-            mean1, mean2 = means[t, 0], means[t, 1]
-            for r in range(nodes.shape[1]):
-                mean1 += factors[t, 0, r] * nodes[n, r]
-                mean2 += factors[t, 1, r] * nodes[n, r]
-            place(work, 0, shape_kind, shape, poses[t], mean1, mean2, roots[t], headings[t])
-            hit, _ = sweep(kind_of(shape_kind), work, len(shape), 1, tolerance, nothing)
-            out[n, t] = missed * hit
-            missed *= 1.0 - hit
