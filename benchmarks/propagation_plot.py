@@ -22,7 +22,7 @@ def draw(path: Path, agent: rp.ControlPrediction, poses: Array, samples: int) ->
     import matplotlib.pyplot as plt  # noqa: PLC0415  after the backend is chosen
 
     mpl.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "svg.fonttype": "none"})
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), constrained_layout=True)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), constrained_layout=True, width_ratios=(1, 1.5))
     _filters(left)
     _risk(right, agent, poses, samples)
     figure.savefig(path, dpi=160)
@@ -41,8 +41,10 @@ def _filters(axes: Any, sd: float = 0.1) -> None:
         outline = _ellipse(track.means[-1], track.covariances[-1])
         axes.plot(*outline.T, color=colour, lw=1.8, label=f"{name}, 2 σ")
         axes.plot(*track.means[-1], "+", color=colour, ms=9, mew=1.8)
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=f"steering noise {sd} rad a step, 10 m/s")
-    axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.set(
+        aspect="equal", xlabel="x [m]", ylabel="y [m]", title=f"steering noise {sd} rad a step, 10 m/s", xlim=(-22, 36)
+    )
+    axes.legend(frameon=False, fontsize=8, loc="center left")  # behind the start
 
 
 def _ellipse(mean: Array, covariance: Array, sigmas: float = 2.0) -> Array:
@@ -60,4 +62,4 @@ def _risk(axes: Any, agent: rp.ControlPrediction, poses: Array, samples: int) ->
     seen = share > 0
     axes.semilogy(agent.times[seen], share[seen], "k.", ms=5, label=f"Monte Carlo {samples:.0e}".replace("e+0", "e"))
     axes.set(xlabel="time [s]", ylabel="risk of the step", title="a control-predicted agent", ylim=(1e-6, 1.5))
-    axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.legend(frameon=False, fontsize=8, loc="lower right")

@@ -6,9 +6,11 @@ import dataclasses
 import html
 import io
 import json
+import os
 import re
 import threading
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -201,6 +203,49 @@ def test_two_runs_give_the_same_bytes(scenario, plan, tmp_path, suffix):
     with Image.open(files[0]) as image:
         assert image.size == SMALL
         assert getattr(image, "n_frames", 1) == (3 if suffix == ".gif" else 1)
+
+
+@needs_browser
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="Linux only")
+def test_a_still_opens_no_port(scenario, plan):
+    drawn, seen = [], 0
+    work = threading.Thread(target=lambda: drawn.append(film.still(picture(scenario, plan), SMALL)))
+    work.start()
+    while work.is_alive():
+        processes = descendants(os.getpid())
+        seen = max(seen, len(processes))
+        assert not listening([os.getpid(), *processes])
+        threading.Event().wait(0.05)
+    assert drawn
+    assert seen >= 2  # the browser and its helpers were looked at
+
+
+def descendants(parent):
+    """Process ids below one."""
+    children = {}
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            text = status.read_text()
+        except OSError:  # it has ended
+            continue
+        children.setdefault(int(text.rsplit(")", 1)[1].split()[1]), []).append(int(status.parent.name))
+    found = list(children.get(parent, []))
+    for pid in found:
+        found += children.get(pid, [])
+    return found
+
+
+def listening(processes):
+    """Sockets of these processes that wait for connections."""
+    own = set()
+    for pid in processes:
+        for link in Path(f"/proc/{pid}/fd").glob("*"):
+            try:
+                own.add(os.readlink(link))
+            except OSError:
+                continue
+    rows = [line.split() for name in ("tcp", "tcp6") for line in Path("/proc/net", name).read_text().splitlines()[1:]]
+    return [row[1] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in own]
 
 
 @needs_browser
