@@ -376,7 +376,9 @@ def _cells(rng: random.Random, rows: list[list[str]]) -> list[list[str]]:
             for row in rows:
                 del row[j : j + 1]
         else:
-            rows[i][j] = rng.choice((*mutate.TEXTS, "AV", "AGENT", str(rng.gauss(0, 1000)), "1000.1", '"', "'", "é"))
+            rows[i][j] = rng.choice(
+                (*mutate.TEXTS, "AV", "AGENT", str(rng.gauss(0, 1000)), "1000.1", '"', "'", "é", "\r", "0" * 200_000)
+            )
     return rows
 
 
