@@ -11,6 +11,8 @@ import shapely
 
 from checkers.validate import Array, InputError, as_array
 
+LONGEST = 1e5  # of a lane [m]; it is looked at every half metre
+
 
 @dataclass(frozen=True, eq=False)
 class Lane:
@@ -34,6 +36,8 @@ class Lane:
         object.__setattr__(self, "centre", as_array("centre", self.centre, ("N", 2)))
         if len(self.centre) < 2:
             raise InputError(f"centre: expected at least 2 points, got {len(self.centre)}")
+        if not self.stations[-1] <= LONGEST:
+            raise InputError(f"centre: expected a length of at most {LONGEST:g} m, got {self.stations[-1]:g}")
         for field in ("left", "right"):
             object.__setattr__(self, field, as_array(field, getattr(self, field), self.centre.shape))
 

@@ -81,10 +81,11 @@ class Windows:
         known = ("past", "headings", "speeds", "sizes")
         for name, shape in shapes.items():
             object.__setattr__(self, name, _checked(name, getattr(self, name), shape, finite=name in known))
-        scenes = np.array(_checked("scenes", self.scenes, (n,), finite=True), dtype=np.int64)
+        given = _checked("scenes", self.scenes, (n,), finite=True)
+        scenes = given.astype(np.int64)
         object.__setattr__(self, "names", as_tuple("names", self.names, str))
         object.__setattr__(self, "dt", as_scalar("dt", self.dt, low=0.0, strict=True))
-        if scenes.shape != (n,) or np.any((scenes < 0) | (scenes >= len(self.names))):
+        if scenes.shape != (n,) or np.any((scenes != given) | (scenes < 0) | (scenes >= len(self.names))):
             raise InputError(f"scenes: expected ({n},) indices below {len(self.names)}, got shape {scenes.shape}")
         scenes.flags.writeable = False
         object.__setattr__(self, "scenes", scenes)

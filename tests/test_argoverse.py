@@ -12,6 +12,7 @@ from traffic import lane, recording, straight
 
 import riskplan as rp
 from checkers import InputError
+from predictor.lanes import Lane
 from predictor.recordings import Recording
 from predictor.tracks import Track
 from riskplan.io.argoverse import scenario_of
@@ -87,6 +88,24 @@ def test_an_ego_is_needed(tmp_path):
         rp.load_scenario(path)
     with pytest.raises(InputError, match=r"problem: expected 0, as .*7.csv has one planning problem; got 1"):
         rp.load_scenario(path, problem=1)
+
+
+@pytest.mark.parametrize("spoilt", ["1\r2", "0" * 200_000, '"'])
+def test_what_is_no_csv_is_refused(tmp_path, spoilt):
+    path = write(tmp_path / "7.csv", [8.0, 5.0])
+    path.write_text(path.read_text().replace("MIA", spoilt, 1), newline="")
+    message = None
+    try:
+        rp.load_scenario(path)
+    except InputError as error:
+        message = str(error)
+    assert message is None or message.startswith(f"{path}: ")
+
+
+def test_a_lane_without_end_is_refused():
+    far = np.array([[0.0, 0.0], [1e8, 0.0]])
+    with pytest.raises(InputError, match=r"centre: expected a length of at most 100000 m, got 1e\+08"):
+        Lane("a", far, far + [0.0, 2.0], far - [0.0, 2.0])
 
 
 def test_nothing_after_the_present_enters(tmp_path):

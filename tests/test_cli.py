@@ -1,5 +1,6 @@
 """The command: exit status, one line on stderr, pure JSON, nothing half-written, the same numbers again."""
 
+import importlib.util
 import json
 import os
 import shutil
@@ -294,7 +295,9 @@ def test_lists_and_version(capfd):
 
 def test_demo(tmp_path):
     done = program("demo", "--out", tmp_path / "demo", "--json", timeout=120)
-    assert (done.returncode, done.stderr) == (0, "")
+    note = "riskplan: note: planning the hand-made scene instead: LearnedPredictor needs torch"
+    assert done.returncode == 0
+    assert done.stderr == "" if importlib.util.find_spec("torch") else done.stderr.startswith(note)
     told = json.loads(done.stdout)
     for planner in ("rrt", "prm"):
         files = sorted(p.name for p in (tmp_path / "demo" / planner).iterdir())

@@ -9,8 +9,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from fuzz import corpus
-from fuzz.campaign import SHARES, made, maker
+from fuzz import corpus, foreign
+from fuzz.__main__ import IMPORTERS
+from fuzz.campaign import SHARES, made, maker, seeds
 from fuzz.targets import Finding, Targets, finite
 from fuzz.trial import limits, tried
 from hypothesis import given, settings
@@ -19,6 +20,8 @@ from hypothesis import strategies as st
 import riskplan as rp
 from checkers.archive import LARGEST
 from predictor.check_commonroad import checked_content
+
+NEEDS = {"xml": "commonroad", "argoverse2": "pandas", "agents-parquet": "pyarrow"}
 
 
 @pytest.fixture(scope="module")
@@ -43,21 +46,24 @@ def refusal(tmp_path):
 
 @pytest.mark.parametrize("target", SHARES)
 def test_seeds_are_accepted(targets, target):
-    seeds = {
-        "yaml": map(corpus.yaml_bytes, corpus.scenarios()),
-        "plan": [corpus.yaml_bytes(corpus.plan())],
-        "npz": map(corpus.npz, corpus.predictions()),
-        "xml": [corpus.commonroad()],
-        "roadmap": [corpus.npz(corpus.roadmap())],
-        "cli": [words for words in corpus.commands() if words[0] in ("checkers", "planners", "assess")],
-    }
-    if target == "xml":
-        pytest.importorskip("commonroad")
-    assert all(targets[target](seed) for seed in seeds[target])
+    if target in NEEDS:
+        pytest.importorskip(NEEDS[target])
+    given = [words for words in seeds(target) if target != "cli" or words[0] in ("checkers", "planners", "assess")]
+    assert given and all(targets[target](seed) for seed in given)
 
 
-@pytest.mark.parametrize(("target", "count"), [("yaml", 60), ("plan", 80), ("npz", 150), ("xml", 60), ("roadmap", 60)])
+def test_every_target_can_be_asked_for():
+    assert set(IMPORTERS) == set(SHARES)
+    assert sum(SHARES.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("target", "count"),
+    [("yaml", 60), ("plan", 80), ("npz", 150), ("xml", 60), ("roadmap", 60), *((name, 40) for name in foreign.FILES)],
+)
 def test_a_small_campaign_finds_nothing(targets, target, count):
+    if target in NEEDS:
+        pytest.importorskip(NEEDS[target])
     make, found = maker(target), []
     with limits(1500):
         for i in range(count):
@@ -68,7 +74,7 @@ def test_a_small_campaign_finds_nothing(targets, target, count):
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.binary(max_size=300), st.sampled_from(["yaml", "plan", "npz", "xml", "roadmap"]))
+@given(st.binary(max_size=300), st.sampled_from(["yaml", "plan", "npz", "xml", "roadmap", *foreign.FILES]))
 def test_any_bytes_are_refused_by_one_line(targets, data, target):
     targets[target](data)
 

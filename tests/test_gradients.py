@@ -377,7 +377,7 @@ def test_trajectory_of_batches():
 def test_trajectory_refuses_what_does_not_fit():
     pred = single((4.0, 0.0), np.eye(2))
     risk = checker("exact")(np.zeros((1, 3)), pred, EgoEllipsoid(Q))
-    with pytest.raises(InputError, match=r"gradients\[0\]: expected \(1, 1, 3\), got \(1, 3\)"):
+    with pytest.raises(InputError, match=r"gradients\[0\]: expected shape \(1, 1, 3\), got \(1, 3\)"):
         checkers.trajectory_risk_gradient([risk], [np.zeros((1, 3))], [pred])
     with pytest.raises(InputError, match="gradients: expected as many as risks"):
         checkers.trajectory_risk_gradient([risk], [], [pred])

@@ -266,7 +266,10 @@ def test_moment_agents_have_booles_bound_only():
         ({"dependence": "comonotone"}, "dependence: expected one of independent, persistent, boole"),
         ({"tolerance": 0.0}, "tolerance: "),
         ({"predictions": []}, "predictions: expected at least one"),
-        ({"predictions": [3]}, r"predictions\[0\]: expected a prediction, got int"),
+        (
+            {"predictions": [3]},
+            r"predictions\[0\]: expected a GaussianMixturePrediction or MomentPrediction or ControlPrediction, got int",
+        ),
         ({"poses": np.zeros((2, 3))}, r"poses: expected shape \(1, 3\)"),
         ({"ego": 3}, "ego: expected a shape"),
         ({"predictions": [single([0, 0], np.eye(2), length=4.0, width=2.0)]}, "headings: EgoBox needs"),

@@ -36,7 +36,10 @@ def open_files(name: str, files: tuple[Path, ...], on_bad: Callable[[InputError]
 
 def read(path: Path) -> Iterator[Recording]:
     """The recording of one file: the AGENT is focal, the AV is the ego; time 0 is the last observation."""
-    rows = list(csv.reader(io.StringIO(read_text(path))))
+    try:
+        rows = list(csv.reader(io.StringIO(read_text(path), newline="")))
+    except csv.Error as error:
+        raise InputError(f"{path}: not CSV: {error}") from None
     if not rows or not set(COLUMNS) <= set(rows[0]):
         missing = ", ".join(c for c in COLUMNS if not rows or c not in rows[0])
         raise InputError(f"{path}: not an Argoverse forecasting file: no column {missing}")

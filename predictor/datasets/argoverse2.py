@@ -55,12 +55,13 @@ def read(path: Path) -> Iterator[Recording]:
         tracks, category = [], {}
         for name, rows in table.groupby("track_id", sort=False):
             tracks.append(_track(str(name), rows.sort_values("timestep")))
-            category[str(name)] = int(rows["object_category"].max())
+            kinds = as_array("object_category", rows["object_category"].to_numpy(dtype=np.float64), ("T",))
+            category[str(name)] = int(kinds.max())
         focal = tuple(name for level in (FOCAL, SCORED) for name, c in category.items() if c == level and name != EGO)
         ego = EGO if EGO in category else None
         lanes = lanes_of(wanted[0]) if wanted else ()
         yield Recording(path.stem.removeprefix("scenario_"), DT, tuple(tracks), lanes, focal=focal, ego=ego)
-    except (TypeError, ValueError, KeyError) as error:  # InputError is a ValueError
+    except (TypeError, ValueError, KeyError, OverflowError) as error:  # InputError is a ValueError
         text = str(error)
         raise InputError(text if wanted and text.startswith(str(wanted[0])) else f"{path}: {text}") from None
 
@@ -79,7 +80,7 @@ def lanes_of(path: Path) -> tuple[Lane, ...]:
                 lanes[str(key)] = _lane(str(key), value)
             except InputError as error:
                 raise InputError(f"lane {key}: {error}") from None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         reason = f"no {error}" if isinstance(error, KeyError) else error
         raise InputError(f"{path}: not an Argoverse 2 map: {reason}") from None
     return tuple(_linked(lane, segments[lane.name], lanes) for lane in lanes.values())

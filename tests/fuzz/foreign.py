@@ -376,7 +376,9 @@ def _cells(rng: random.Random, rows: list[list[str]]) -> list[list[str]]:
             for row in rows:
                 del row[j : j + 1]
         else:
-            rows[i][j] = rng.choice((*mutate.TEXTS, "AV", "AGENT", str(rng.gauss(0, 1000)), "1000.1", '"', "'", "é"))
+            rows[i][j] = rng.choice(
+                (*mutate.TEXTS, "AV", "AGENT", str(rng.gauss(0, 1000)), "1000.1", '"', "'", "é", "\r", "0" * 200_000)
+            )
     return rows
 
 
@@ -439,7 +441,10 @@ def read(target: str, paths: list[Path]) -> Any:
 
 def adapted(path: Path) -> Any:
     """The arrays as arguments of the adapter whose names they have; arrays of another kind never get there."""
-    values = {key: v.item() if v.dtype.kind in "Ub" and v.ndim == 0 else v for key, v in read_arrays(path, "x").items()}
+    values = {
+        key: v.item() if v.ndim == 0 and (v.dtype.kind in "Ub" or key == "largest_corr") else v
+        for key, v in read_arrays(path, "x").items()
+    }
     if "mus" in values or "log_pis" in values:
         needed, adapter = ("log_pis", "mus", "log_sigmas", "corrs", "times"), rp.from_gmm2d
     elif "spread" in values:

@@ -81,7 +81,7 @@ RULES = [
     "x ** -1",
     "cos(1e308 * x)",
 ]
-TOKENS = [b"\x00", b"\xff\xfe", b"&a", b"*a", b"!!python/object:os.system", b"---\n", b"<!DOCTYPE a>", b"]]>", b"{", b"[", b"}", b"]",
+TOKENS = [b"\x00", b"\xff\xfe", b"\r", b"&a", b"*a", b"!!python/object:os.system", b"---\n", b"<!DOCTYPE a>", b"]]>", b"{", b"[", b"}", b"]",
           b": ", b"- ", b"\n", b"1e309", b"-", b"'", b'"', b"PK\x05\x06", b"\x93NUMPY", b"<", b">", b"&lt;", b".inf", b"99999999999"]  # fmt: skip
 
 TEXTS = ("", "x", "nan", "inf", "-inf", "1e308", "-1e308", "1e9", "1e12", "1e-320", "0", "-1", "1", "4", "99999999", "1e99999", "0x10", "٣")  # fmt: skip
