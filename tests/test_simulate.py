@@ -73,7 +73,7 @@ def test_stated_risk_is_that_of_the_predictions_made_from_the_past():
 
 
 def test_nothing_is_known_before_it_happens():
-    goes_on = track("beside", 0, 3.5, lambda _: 12)
+    goes_on = track("beside", 0, 3.5, 12)
     brakes_late = track("beside", 0, 3.5, lambda t: 12 if t <= 1.5 else max(12 - 8 * (t - 1.5), 0))
     traffic = [FREE[0], goes_on], [FREE[0], brakes_late]
     a, b = (rp.simulate(two_lanes(), t, bound=0.02, time_limit=5.0) for t in traffic)
