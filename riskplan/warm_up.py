@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from typing import Literal
 
 import numpy as np
 
@@ -15,9 +14,6 @@ from riskplan.scene import Goal, Scenario, State
 from riskplan.search import Budget, Planner, Problem
 from riskplan.world import goal_too_far
 
-_Order = Literal["C", "F"]
-_ORDERS: tuple[_Order, ...] = ("C", "F")
-
 
 @cache
 def warm_up(planner: type[Planner], dependence: str = "independent") -> None:
@@ -26,12 +22,12 @@ def warm_up(planner: type[Planner], dependence: str = "independent") -> None:
     All checkers share the loops; where errors persist, shapes and agents of every kind have loops of their own.
     """
     times = np.linspace(0.0, 0.3, 4)
-    agents = [_agent(times, order) for order in _ORDERS]
+    agent = _agent(times)
     scene = Scenario(
         start=State(0.0, 0.0, 0.0, 10.0),
         goal=Goal.at(3.0, 0.0, radius=1.5),
         bounds=(-10.0, -5.0, 20.0, 5.0),
-        agents=tuple(agents),
+        agents=(agent,),
         ego=EgoCover.discs(1.0, 1.0, 2),
         drivable=(np.array([[-20.0, -5.0], [30.0, -5.0], [30.0, 5.0], [-20.0, 5.0]]),),
         lanes=(np.array([[-20.0, 0.0], [30.0, 0.0]]),),
@@ -41,15 +37,15 @@ def warm_up(planner: type[Planner], dependence: str = "independent") -> None:
         return
     for ego in (scene.ego, EgoBox(1.0, 1.0)):
         for share in (1.0, 0.9):  # all of the error persists, or the rest is drawn at every step
-            known = [replace(a, factors=share * a.covariances) for a in agents]
-            _search(planner, replace(scene, ego=ego, agents=tuple(known)), dependence)
+            known = replace(agent, factors=share * agent.covariances)
+            _search(planner, replace(scene, ego=ego, agents=(known,)), dependence)
 
 
-def _agent(times: Array, order: _Order) -> GaussianMixturePrediction:
-    """Two modes; predictors leave their arrays in either order, and loops are compiled for each."""
+def _agent(times: Array) -> GaussianMixturePrediction:
+    """Two modes."""
     means = np.stack([5.0 + 4.0 * times, 2.0 + 0.0 * times], axis=-1)[:, None].repeat(2, axis=1)
-    spread = np.array(np.tile(np.eye(2), (len(times), 2, 1, 1)), order=order)
-    headings = np.zeros((len(times), 2), order=order)
+    spread = np.tile(np.eye(2), (len(times), 2, 1, 1))
+    headings = np.zeros((len(times), 2))
     return GaussianMixturePrediction(times, np.full(2, 0.5), means, spread, length=4.0, width=2.0, headings=headings)
 
 
