@@ -35,15 +35,13 @@ class InputError(ValueError):
 def as_array(
     name: str, value: Any, shape: Sequence[int | str], *, finite: bool = True, largest: float = np.inf
 ) -> Array:
-    """Copy `value` into a read-only float64 array of `shape` (letters stand for any length ≥ 1), the last index fastest:
-    kernels are compiled for one order.
-
+    """Copy `value` into a read-only, C-ordered float64 array of `shape` (letters stand for any length ≥ 1).
     No entry may exceed `largest` in size.
     """
     try:
         if np.iscomplexobj(value):
             raise TypeError("complex numbers")
-        array = np.array(value, dtype=np.float64, order="C")
+        array = np.array(value, dtype=np.float64, order="C")  # kernels are compiled for one order
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{name}: expected numbers of shape {_show(shape)}, got {type(value).__name__}: {error}"
