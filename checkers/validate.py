@@ -36,6 +36,7 @@ def as_array(
     name: str, value: Any, shape: Sequence[int | str], *, finite: bool = True, largest: float = np.inf
 ) -> Array:
     """Copy `value` into a read-only, C-ordered float64 array of `shape` (letters stand for any length ≥ 1).
+
     No entry may exceed `largest` in size.
     """
     try:
