@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -50,12 +51,18 @@ def run(args: argparse.Namespace) -> int:
     return SOLVED
 
 
+# a Client that fails while it is made complains on stderr when it is collected
+_ADDRESS = re.compile(r"([a-z]+://)?[\w.\-\[\]:]+:[0-9]+", re.ASCII)
+
+
 @contextmanager
 def _client(address: str | None, workers: int) -> Iterator[Any]:
     """A Dask client, or None for this machine's own processes."""
     if address is None:
         yield None
         return
+    if address != "local" and not _ADDRESS.fullmatch(address):
+        raise InputError(f"--cluster: expected local or an address such as tcp://host:8786, got {address!r}")
     try:
         from distributed import Client, LocalCluster
     except ImportError:
