@@ -99,6 +99,8 @@ def _one_edge(row, slopes, node, left):
             worst, second, middle, per = away, worst, abs(p), inverse
         else:
             second = max(second, away)
+    if worst == -np.inf:  # no rest at this step, and inside
+        return 1.0
     if worst > 0.0 and worst * worst > left:
         return 0.0
     beyond = max(worst, 0.0)

@@ -141,17 +141,18 @@ def _strip(row, i, n1, n2, reach, d1, d2, b11, b12, b21, b22):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def inside(kind, rows, j, x, y):
-    """Whether a point lies inside set j, by more than rounding; never if it is at infinity."""
+def level(kind, rows, j, x, y):
+    """(how far out a point is in set j, what rounding makes of that): below 1 inside, NaN if it is at infinity."""
     if kind == OCTAGON:
+        worst, noise = 0.0, 0.0
         for i in (0, 3, 6, 9):
-            p = rows[i, j]
-            if not abs(p + rows[i + 1, j] * x + rows[i + 2, j] * y) < 1.0 - 1e-12 * (1.0 + abs(p)):
-                return False
-        return True
-    v1 = rows[0, j] + rows[2, j] * x + rows[3, j] * y
-    v2 = rows[1, j] + rows[4, j] * x + rows[5, j] * y
-    return v1 * v1 + v2 * v2 < 1.0 - 2e-12 * (1.0 + abs(rows[0, j]) + abs(rows[1, j]))
+            along, across = rows[i + 1, j] * x, rows[i + 2, j] * y
+            worst = max(abs(rows[i, j] + along + across), worst)  # NaN stays
+            noise = max(noise, 1e-12 * (1.0 + abs(rows[i, j])) + 1e-14 * (abs(along) + abs(across)))
+        return worst, noise
+    a, b, c, d = rows[2, j] * x, rows[3, j] * y, rows[4, j] * x, rows[5, j] * y
+    noise = 1e-12 * (1.0 + abs(rows[0, j]) + abs(rows[1, j])) + 1e-14 * (abs(a) + abs(b) + abs(c) + abs(d))
+    return math.hypot(rows[0, j] + a + b, rows[1, j] + c + d), noise
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -213,10 +214,11 @@ def ellipse_features(row, out):
     _cone(out, a11, a12, a21, a22, low1, low2, high1, high2)
     s11, s12, s22 = a11 * a11 + a12 * a12, a11 * a21 + a12 * a22, a21 * a21 + a22 * a22
     # nearest point: ξ = −ν Aᵀ y, y = (1 + ν S)⁻¹ m on the rim; Newton is monotone as in gaussian.nearest
-    nu, y1, y2 = 0.0, m1, m2
+    nu, y1, y2, f = 0.0, m1, m2, c + 1.0
+    det2 = (a11 * a22 - a12 * a21) ** 2
     for _ in range(40):
         t11, t12, t22 = 1.0 + nu * s11, nu * s12, 1.0 + nu * s22
-        per = 1.0 / (t11 * t22 - t12 * t12)
+        per = 1.0 / (1.0 + nu * (s11 + s22) + nu * nu * det2)  # t11 t22 − t12² would cancel if A is nearly singular
         y1, y2 = (t22 * m1 - t12 * m2) * per, (t11 * m2 - t12 * m1) * per
         f = y1 * y1 + y2 * y2
         z1, z2 = s11 * y1 + s12 * y2, s12 * y1 + s22 * y2
@@ -231,7 +233,8 @@ def ellipse_features(row, out):
     slope = math.sqrt(g1 * g1 + g2 * g2)
     cross = out[LOW_X] * out[HIGH_Y] - out[LOW_Y] * out[HIGH_X]
     met = cross != 0.0 or out[LOW_X] * out[HIGH_X] + out[LOW_Y] * out[HIGH_Y] < 0.0
-    distance = nu * slope if met and nu <= 1e100 else np.inf
+    # a line that misses never gets to the rim, also where rounding leaves a cone
+    distance = nu * slope if met and nu <= 1e100 and f <= 1.001 else np.inf
     _aim(out, NEAR_X, -g1, -g2, slope, distance)
     out[SHAKE] = distance * (math.sqrt(c + 1.0) + distance * math.sqrt(s11 + s22) + 1.0) / slope
 
@@ -266,22 +269,23 @@ def octagon_features(rows, j, sizes, c, s, d1, d2, b11, b12, b21, b22, out):
 
 @nb.njit(cache=True, error_model="numpy")
 def _nearest_of_octagon(rows, j, out):
-    """The foot of an edge that faces the origin if it is on the octagon, else the nearest corner between two such."""
+    """The foot of an edge that faces the origin if it is on the octagon, else the nearest corner of such an edge."""
     best = np.inf
     _aim(out, NEAR_X, 0.0, 0.0, 0.0, np.inf)
     out[SHAKE] = 0.0
-    for k in range(10):  # four feet; six corners
-        i = 3 * k if k < 4 else (0, 0, 0, 3, 3, 6)[k - 4]
-        o = i if k < 4 else (3, 6, 9, 6, 9, 9)[k - 4]
+    for k in range(28):  # four feet; of each facing strip's edge the corners with both edges of the six others
+        i = 3 * k if k < 4 else 3 * ((k - 4) // 6)
         p, q1, q2 = rows[i, j], rows[i + 1, j], rows[i + 2, j]
-        r, s1, s2 = rows[o, j], rows[o + 1, j], rows[o + 2, j]
-        if abs(p) <= 1.0 or abs(r) <= 1.0:
+        if abs(p) <= 1.0:
             continue
-        u, v = (1.0 if p > 0.0 else -1.0) - p, (1.0 if r > 0.0 else -1.0) - r
+        u = (1.0 if p > 0.0 else -1.0) - p
         if k < 4:
             per = u / (q1 * q1 + q2 * q2)
             x, y = q1 * per, q2 * per
-        else:
+        else:  # the other edge need not face the origin: factors shear, and corners may be sharp
+            o = (i + 3 + 3 * ((k - 4) % 6 // 2)) % 12
+            r, s1, s2 = rows[o, j], rows[o + 1, j], rows[o + 2, j]
+            v = (1.0 if k & 1 else -1.0) - r
             per = 1.0 / (q1 * s2 - q2 * s1)
             x, y = (u * s2 - v * q2) * per, (v * q1 - u * s1) * per
         if x * x + y * y < best and _on(rows, j, x, y):

@@ -22,7 +22,7 @@ from checkers.kernels.regions import (
     SHAKE,
     TIP,
     chord,
-    inside,
+    level,
 )
 
 LEFT, RIGHT = 1, 2  # which end of a sector is a tangent ray
@@ -112,13 +112,26 @@ def _corners(rows, count, i, events, n):
 
 @nb.njit(cache=True, error_model="numpy")
 def _hidden(kind, rows, count, i, x, y):
-    """Whether a set other than i covers this point; neighbours in time are the likeliest."""
+    """Whether a set other than i covers this point of i's rim; neighbours in time are the likeliest.
+
+    Of long thin sets the point may be off the rim, by rounding: two that are the same must not hide each other.
+    """
+    own, noise = level(kind, rows, i, x, y)
+    enough = min(own, 1.0) - noise
+    if not enough > 0.0:
+        return False
     for step in range(1, count):
-        if i >= step and inside(kind, rows, i - step, x, y):
+        if i >= step and _covers(kind, rows, i - step, x, y, enough):
             return True
-        if i + step < count and inside(kind, rows, i + step, x, y):
+        if i + step < count and _covers(kind, rows, i + step, x, y, enough):
             return True
     return False
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _covers(kind, rows, j, x, y, enough):
+    out, noise = level(kind, rows, j, x, y)
+    return out + noise < enough
 
 
 @nb.njit(cache=True, error_model="numpy")

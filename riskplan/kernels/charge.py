@@ -35,7 +35,7 @@ def row_risk(fixed, row, first, last, x, y, cos, sin, negligible, idle, floor, m
     if minor > 0.0:
         together, largest, top = _piece_bounds(pieces, row, first, last, x, y, cos, sin, idle, floor, bounds)
         if together <= negligible or largest <= idle:
-            return together
+            return min(together, 1.0)
         m1, m2, s11, s12, s22, det = to_disc(pieces, top, d1, d2, e11, e12, e22, row[DET])
         value = call_kernel(address, m1, m2, s11, s12, s22, det, scratch_at, 0, options_at, out_at)
     for p in range(first, last):
@@ -82,7 +82,16 @@ def _squared_gap(dx, dy, c11, c12, c22, reach):
     """Squared distance in σ along the line of centres from the mean to the whole shape; 0 within its reach."""
     r2 = dx * dx + dy * dy
     gap = math.sqrt(r2) - reach
-    return gap * gap * r2 / (dx * dx * c11 + 2.0 * dx * dy * c12 + dy * dy * c22) if gap > 0.0 else 0.0
+    along, across = dx * dx * c11, dy * dy * c22
+    # in a covariance of rank 1 rounding may leave less than nothing
+    spread = max(along + 2.0 * dx * dy * c12 + across, 4e-16 * (along + across))
+    return gap * gap * r2 / spread if gap > 0.0 else 0.0
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _beyond(gap):
+    """Φ(−d) for a squared gap d²; 1 within the shape's reach."""
+    return 0.5 * math.erfc(math.sqrt(0.5 * gap)) if gap > 0.0 else 1.0
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -95,7 +104,7 @@ def marginals(address, options, order, rows, index, pieces, groups, bounded, pos
     room = (np.empty(pieces.shape[0]), np.empty((order + 1) ** 2), np.empty(ROOM))
     fixed = (address, options, order, pieces)
     negligible, idle, minor = 0.0, 0.0, 0.0
-    if bounded:
+    if bounded and len(index) > 0:
         minor = _ROUNDING
         spare = 0.5 * _ROUNDING * _bounded(fixed, rows, index, groups, poses, out, room)
         negligible, left = _threshold(out, spare)
@@ -111,7 +120,7 @@ def marginals(address, options, order, rows, index, pieces, groups, bounded, pos
                 out[s, m] /= share
             else:
                 first, last = index[m, 1], index[m, 2]
-                own = idle / share if share > 0.0 else np.inf
+                own = idle / share if share > 0.0 else 0.0
                 out[s, m] = row_risk(fixed, rows[s, m], first, last, x, y, cos, sin, 0.0, own, 0.0, minor, room)
 
 
@@ -136,7 +145,7 @@ def _bounded(fixed, rows, index, groups, poses, out, room):
                 rows[s, m, C22],
                 rows[s, m, REACH],
             )
-            out[s, m] = 0.5 * math.erfc(math.sqrt(0.5 * gap)) * share
+            out[s, m] = _beyond(gap) * share
             if out[s, m] > largest:  # who is within the shape's reach need not be near its pieces
                 row, first, last = rows[s, m], index[m, 1], index[m, 2]
                 together, _, _ = _piece_bounds(pieces, row, first, last, x, y, cos, sin, 0.0, 0.0, bounds)
@@ -252,7 +261,7 @@ def charge(
             m = near[n]
             g, first, last, weight = index[m, 0], index[m, 1], index[m, 2], rows[step, m, WEIGHT]
             # each of the pieces lies beyond what the whole shape lies beyond
-            r = weight * (last - first) * 0.5 * math.erfc(math.sqrt(0.5 * gaps[n])) if minor > 0.0 else np.inf
+            r = weight * (last - first) * _beyond(gaps[n]) if minor > 0.0 else np.inf
             if elsewhere:
                 r = weight * given[s, m]
             elif r > _SMALL * spare:

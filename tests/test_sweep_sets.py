@@ -1,0 +1,85 @@
+"""The sweep where collision sets are thin, sheared, the same at several steps, or points."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from checkers.kernels.given import first_hits
+from checkers.kernels.path import ALIGNED, BOXES, FIXED, sweep_paths
+
+_SHAPES = {
+    FIXED: np.array([[0.0, 0.0, 0.5, 0.1, 0.9]]),
+    BOXES: np.array([[2.3, 1.0, 2.0, 0.9]]),
+    ALIGNED: np.array([[2.3, 1.0, 2.0, 0.9]]),
+}
+
+
+def swept(kind, mean, factor, heading, steps=1, tolerance=1e-8):
+    value, error, exposure = np.empty(1), np.empty(1), np.empty((1, steps))
+    means, factors = np.tile(mean, (steps, 1)), np.tile(factor, (steps, 1, 1))
+    headings, poses = np.full(steps, heading), np.zeros((1, steps, 3))
+    sweep_paths(kind, _SHAPES[kind], poses, means, factors, headings, tolerance, value, error, exposure)
+    return value[0], error[0]
+
+
+def turn(angle):
+    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+
+
+@pytest.mark.parametrize("kind", [FIXED, BOXES, ALIGNED])
+def test_sets_that_are_the_same_do_not_hide_each_other_however_thin(kind):
+    rng, seen = np.random.default_rng(1), 0
+    for _ in range(1000):
+        size = 10 ** rng.uniform(-2, 3)
+        factor = turn(rng.uniform(0, 7)) @ np.diag([size, size * 10 ** rng.uniform(-18, 0)]) @ turn(rng.uniform(0, 7))
+        mean = factor @ rng.normal(size=2) * rng.uniform(0, 3) + rng.normal(size=2) * rng.uniform(0, 4)
+        once, error = swept(kind, mean, factor, 0.3)
+        for steps in (2, 5):
+            again, more = swept(kind, mean, factor, 0.3, steps)
+            assert abs(again - once) <= 4 * (error + more) + 1e-290
+        seen += once > 1e-9
+    assert seen > 300
+
+
+def test_boxes_whose_factors_shear_are_seen():
+    rng, seen, line = np.random.default_rng(2), 0, np.linspace(-8, 8, 8001)
+    half, h = _SHAPES[BOXES][0], 0.7
+    normals = np.array([[1, 0], [0, 1], [math.cos(h), math.sin(h)], [-math.sin(h), math.cos(h)]])
+    corners = np.array([[a * half[2], b * half[3]] for a in (-1, 1) for b in (-1, 1)]) @ turn(h).T
+    ego = np.array([[a * half[0], b * half[1]] for a in (-1, 1) for b in (-1, 1)])
+    reach = (ego @ normals.T).max(axis=0) + (corners @ normals.T).max(axis=0)
+    for _ in range(300):
+        factor = rng.normal(size=(2, 2)) * 10 ** rng.uniform(-0.5, 1.0)
+        mean = rng.normal(size=2) * 8
+        q = normals @ factor
+        middle = (-(normals @ mean)[:, None] - q[:, :1] * line) / q[:, 1:]
+        wide = np.abs(reach / q[:, 1])[:, None]
+        low, high = (middle - wide).max(axis=0), (middle + wide).min(axis=0)
+        slices = np.where(high > low, ndtr(high) - ndtr(low), 0.0) * np.exp(-0.5 * line**2) / math.sqrt(2 * math.pi)
+        value, _ = swept(BOXES, mean, factor, h)
+        assert value == pytest.approx(slices.sum() * (line[1] - line[0]), rel=1e-3, abs=1e-6)
+        seen += value > 1e-3
+    assert seen > 100
+
+
+def test_strips_that_rounding_makes_thin_sets_are_told_from_those_that_miss():
+    # the first piece is beside the line of the error; the second is on it
+    rng = np.random.default_rng(3)
+    for angle in rng.uniform(0, 7, 500):
+        root = turn(angle) @ np.diag([2.0, 0.0]) @ turn(rng.uniform(0, 7))
+        out = np.empty((1, 1))
+        away = turn(angle) @ np.array([0.0, 8.0])
+        pieces = np.array([[away[0], away[1], 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 1.0]])
+        pose, mean, factor = np.zeros((1, 3)), turn(angle) @ np.array([3.0, 0.0]), np.zeros((1, 2, 1))
+        first_hits(FIXED, pieces, pose, mean[None], factor, root[None], np.zeros(1), np.zeros((1, 1)), 1e-8, out)
+        assert out[0, 0] == pytest.approx(ndtr(-1.0) - ndtr(-2.0), rel=1e-6)
+
+
+@pytest.mark.parametrize(("x", "expected"), [(0.0, 1.0), (9.0, 0.0)])
+def test_a_box_without_rest_is_hit_or_missed(x, expected):
+    out, zero = np.empty((1, 1)), np.zeros((1, 2, 2))
+    means, nodes = np.array([[x, 0.0]]), np.zeros((1, 1))
+    first_hits(BOXES, _SHAPES[BOXES], np.zeros((1, 3)), means, zero[..., :1], zero, np.zeros(1), nodes, 1e-8, out)
+    assert out[0, 0] == expected
