@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from builders import row
 from scipy.special import ndtr
 
+from checkers import EgoEllipsoid, checker
 from checkers.kernels.given import first_hits
 from checkers.kernels.path import ALIGNED, BOXES, FIXED, sweep_paths
 
@@ -83,3 +85,18 @@ def test_a_box_without_rest_is_hit_or_missed(x, expected):
     means, nodes = np.array([[x, 0.0]]), np.zeros((1, 1))
     first_hits(BOXES, _SHAPES[BOXES], np.zeros((1, 3)), means, zero[..., :1], zero, np.zeros(1), nodes, 1e-8, out)
     assert out[0, 0] == expected
+
+
+def test_both_far_ends_of_a_long_set_around_the_origin_are_seen():
+    """Origin close to the rim of an ellipse 200 times as long as wide: the second spike is not opposite the first."""
+    mean = np.array([2.0087518338902317, -0.07414546121528073])
+    factor = np.array([[0.15718557128054697, 0.1126789410121471], [-0.10506256448178958, -0.0738929898994296]])
+    value, error = swept(FIXED, mean, factor, 0.0)
+    expected = checker("exact")(np.zeros((1, 3)), row(mean[None], (factor @ factor.T)[None]), _form()).value[0, 0]
+    assert abs(value - expected) <= 4 * error + 1e-12
+
+
+def _form():
+    a, b, c = _SHAPES[FIXED][0, 2:]
+    whiten = np.array([[a, b], [0.0, c]])
+    return EgoEllipsoid(whiten.T @ whiten)

@@ -15,9 +15,9 @@ import numpy as np
 ELLIPSE, OCTAGON = 0, 1
 ROW = 12
 # what `features` knows of a set: unit vectors and radii of the tangent points, clockwise end first (no radius if every
-# ray meets the set); unit vector and radius of the nearest point, angle of a far end or NaN, sensitivity to rounding
-LOW_X, LOW_Y, LOW_RADIUS, HIGH_X, HIGH_Y, HIGH_RADIUS, NEAR_X, NEAR_Y, DISTANCE, TIP, SHAKE = range(11)
-FEATURES = 11
+# ray meets the set); unit vector and radius of the nearest point; angles of the far ends or NaN; how rounding moves it
+LOW_X, LOW_Y, LOW_RADIUS, HIGH_X, HIGH_Y, HIGH_RADIUS, NEAR_X, NEAR_Y, DISTANCE, TIP, OTHER_TIP, SHAKE = range(12)
+FEATURES = 12
 FULL_CIRCLE = 2.0 * math.pi
 INSIDE, ENDLESS = -1, -2  # ends of a span that no set has: at radius 0, at no radius
 
@@ -180,7 +180,7 @@ def _aim(out, at, x, y, size, radius):
 
 @nb.njit(cache=True, error_model="numpy")
 def _tip(a11, a12, a21, a22, m1, m2):
-    """Direction of a far end of a long thin set, or NaN: centre −A⁻¹m plus the long half-axis (the other is opposite).
+    """Directions of the far ends of a long thin set, or NaN: centre −A⁻¹m plus and minus the long half-axis.
 
     Rays are spaced densely enough to find everything that is less than 12 times as long as wide.
     """
@@ -189,13 +189,14 @@ def _tip(a11, a12, a21, a22, m1, m2):
     big = 0.5 * (s11 + s22) + math.hypot(half, s12)
     det = a11 * a22 - a12 * a21
     if 12.0 * abs(det) >= big or big == 0.0:
-        return np.nan
+        return np.nan, np.nan
     angle = 0.5 * math.atan2(s12, half) + 0.5 * math.pi  # of the small eigenvector
     size = math.sqrt(big)
     sign = 1.0 if det >= 0.0 else -1.0
     x = -sign * (a22 * m1 - a12 * m2) / size
     y = -sign * (a11 * m2 - a21 * m1) / size
-    return math.atan2(y + math.sin(angle), x + math.cos(angle))
+    along, across = math.cos(angle), math.sin(angle)
+    return math.atan2(y + across, x + along), math.atan2(y - across, x - along)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -203,7 +204,7 @@ def ellipse_features(row, out):
     """Fill `out` (FEATURES,) for an ellipse."""
     m1, m2, c = row[0], row[1], row[6]
     a11, a12, a21, a22 = row[2], row[3], row[4], row[5]
-    out[TIP] = _tip(a11, a12, a21, a22, m1, m2)
+    out[TIP], out[OTHER_TIP] = _tip(a11, a12, a21, a22, m1, m2)
     if c <= 0.0:
         _around(out)
         return
@@ -227,7 +228,7 @@ def ellipse_features(row, out):
         if not step > 0.0 or nu > 1e100:
             break
         nu += step
-        if step <= 1e-4 * nu:
+        if step <= 1e-6 * nu:
             break
     g1, g2 = a11 * y1 + a21 * y2, a12 * y1 + a22 * y2
     slope = math.sqrt(g1 * g1 + g2 * g2)
@@ -249,7 +250,7 @@ def _around(out):
 @nb.njit(cache=True, error_model="numpy")
 def octagon_features(rows, j, sizes, c, s, d1, d2, b11, b12, b21, b22, out):
     """Fill `out` (FEATURES,) for an octagon, with the arguments of `fill_octagon`."""
-    out[TIP] = _tip(rows[1, j], rows[2, j], rows[4, j], rows[5, j], rows[0, j], rows[3, j])
+    out[TIP], out[OTHER_TIP] = _tip(rows[1, j], rows[2, j], rows[4, j], rows[5, j], rows[0, j], rows[3, j])
     if max(abs(rows[0, j]), abs(rows[3, j]), abs(rows[6, j]), abs(rows[9, j])) <= 1.0:
         _around(out)
         return

@@ -19,6 +19,7 @@ from checkers.kernels.regions import (
     NEAR_X,
     NEAR_Y,
     OCTAGON,
+    OTHER_TIP,
     SHAKE,
     TIP,
     chord,
@@ -26,6 +27,7 @@ from checkers.kernels.regions import (
 )
 
 LEFT, RIGHT = 1, 2  # which end of a sector is a tangent ray
+_EACH = 12  # events of a set without its peak: tangents, far ends, corners; a peak adds 20 at most
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -38,11 +40,13 @@ def cut_circle(kind, rows, features, count, events, sectors, fine):
             n = _tangent(kind, rows, count, i, f[LOW_X], f[LOW_Y], f[LOW_RADIUS], LEFT, events, n)
             n = _tangent(kind, rows, count, i, f[HIGH_X], f[HIGH_Y], f[HIGH_RADIUS], RIGHT, events, n)
             near = f[DISTANCE]
-            if n < len(events) - 40 and not _hidden(kind, rows, count, i, f[NEAR_X] * near, f[NEAR_Y] * near):
+            spare = len(events) - n - _EACH * (count - i) - 20  # what is left when all others have had theirs
+            if spare > 0 and not _hidden(kind, rows, count, i, f[NEAR_X] * near, f[NEAR_Y] * near):
                 n = _frame_peak(kind, rows, i, f, events, n)
-        if f[TIP] == f[TIP] and n < len(events) - 1:
+        if f[TIP] == f[TIP] and n < len(events) - 2:
             events[n, 0], events[n, 1] = f[TIP], 0
-            n += 1
+            events[n + 1, 0], events[n + 1, 1] = f[OTHER_TIP], 0
+            n += 2
         if kind == OCTAGON and fine:
             n = _corners(rows, count, i, events, n)
     if n == 0:

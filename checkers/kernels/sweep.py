@@ -48,7 +48,7 @@ Work = namedtuple("Work", "rows features step spans ends events sectors panels r
 @nb.njit(cache=True)
 def workspace(count):
     """Room for `count` sets, to be used again for any number of sweeps."""
-    events = 12 * count + 42
+    events = 20 * count + 80
     panels = 3 * events + 400
     return Work(
         np.empty((ROW, count)),
