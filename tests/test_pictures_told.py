@@ -40,8 +40,6 @@ def lasting(scenario):
 
 
 def test_bare_moments_have_no_futures_and_gaussians_do(scenario, plan):
-    from riskplan.pictures.agent_view import Detail
-
     mixed = dataclasses.replace(scenario, agents=(scenario.agents[0], scenario.agents[1].moments(4)))
     known, moments = picture(mixed, plan, None, Detail(7, 5, 0)).agents
     assert known.futures.shape[0] == 7
