@@ -196,7 +196,7 @@ def persistent_risk(
             plane[..., :rank] = mode.factors
             sweep_paths(shape_kind, shape, batch, mode.means, plane, mode.headings, tolerance, value, spread, first)
         else:
-            inputs = (mode.means, mode.factors, square_root(own), mode.headings)
+            inputs = (mode.means, mode.factors, own, mode.headings)
             for b, poses in enumerate(batch):
                 first[b], spread[b], one = over_factors(shape_kind, shape, poses, inputs, tolerance, seed)
                 value[b], kind = first[b].sum(), Kind.weakest([kind, one])

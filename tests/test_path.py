@@ -315,7 +315,7 @@ def test_a_rest_too_small_for_a_grid_is_never_no_risk(rank):
         moved = np.array(mean) + xi[:, :rank] @ factor[0, 0].T
         hit = np.hypot(*(moved + rest * noise).T) <= radius  # one step; the second moves by the rest only
         assert risk.max_step <= risk.total <= risk.boole
-        assert abs(float(risk.total) - hit.mean()) < 3 * float(risk.error) + 0.05 * hit.mean()
+        assert abs(float(risk.total) - hit.mean()) < 3 * float(risk.error) + 0.05 * hit.mean() + 3 / len(hit)
 
 
 def test_totals_are_held_between_the_largest_step_and_the_sum():

@@ -39,20 +39,25 @@ def place(work, first, shape_kind, shape, pose, mean1, mean2, factor, heading):
         fill_octagon(row, shape[0], c, s, d1, d2, b11, b12, b21, b22)
         octagon_features(rows, first, shape[0], c, s, d1, d2, b11, b12, b21, b22, out)
     elif shape_kind == ALIGNED:
-        c, s, axes = math.cos(heading - pose[2]), math.sin(heading - pose[2]), shape[0]
-        p11 = axes[0] ** 2 + (c * axes[2]) ** 2 + (s * axes[3]) ** 2
-        p22 = axes[1] ** 2 + (s * axes[2]) ** 2 + (c * axes[3]) ** 2
-        p12 = c * s * (axes[2] ** 2 - axes[3] ** 2)
-        det = p11 * p22 - p12 * p12
-        # Cholesky factor of P⁻¹
-        l11 = math.sqrt(p22 / det)
-        piece = (0.0, 0.0, l11, -p12 / (det * l11), 1.0 / math.sqrt(p22))
+        piece = aligned_piece(shape[0], heading - pose[2])
         fill_ellipse(row, piece, d1, d2, b11, b12, b21, b22)
         ellipse_features(row, out)
     else:
         for p in range(len(shape)):
             fill_ellipse(rows[:, first + p], shape[p], d1, d2, b11, b12, b21, b22)
             ellipse_features(rows[:, first + p], work.features[first + p])
+
+
+@nb.njit(cache=True, error_model="numpy")
+def aligned_piece(axes, turn):
+    """Centre and Cholesky factor of the form of two ellipses' sum: semi-axes (4,) of ego and agent, turned apart."""
+    c, s = math.cos(turn), math.sin(turn)
+    p11 = axes[0] ** 2 + (c * axes[2]) ** 2 + (s * axes[3]) ** 2
+    p22 = axes[1] ** 2 + (s * axes[2]) ** 2 + (c * axes[3]) ** 2
+    p12 = c * s * (axes[2] ** 2 - axes[3] ** 2)
+    det = p11 * p22 - p12 * p12
+    l11 = math.sqrt(p22 / det)
+    return 0.0, 0.0, l11, -p12 / (det * l11), 1.0 / math.sqrt(p22)
 
 
 @nb.njit(cache=True, error_model="numpy")

@@ -1,0 +1,185 @@
+"""P(z + N(0, I) ∈ K) for a fixed set K in the plane, as an integral along K's rim.
+
+With g(q) = (1 − e^(−q/2)) / q, which is entire, and y = rim − z,
+    P = (1/2π) ∮ g(|y|²) (y × dy) = [z ∈ K] + (1/2π) ∮ (g(|y|²) − 1/|y|²) (y × dy)
+by Green's theorem. The second integrand is below e^(−|y|²/2), so only the rim near z is integrated; along that,
+∮ (y × dy)/|y|² is the angle it is seen under. Where all of K is far, −∮ e^(−|y|²/2)/|y|² (y × dy) keeps the relative
+accuracy of small P. Sets are octagons (rows of edges) or unions of ellipses (rows of pieces, and the arcs of their rims
+that are not inside another).
+"""
+
+import math
+
+import numba as nb
+import numpy as np
+
+# an edge: outward normal, its level n·y, and where it begins and ends along the tangent (−n₂, n₁)
+EDGE = 5
+# a piece: centre, A with {|A (y − centre)| ≤ 1}, its short half-axis 1/|A|, A⁻¹, and its long half-axis |A⁻¹|
+PIECE = 12
+_FAR = 2.5  # beyond, e^(−q/2)/q is as smooth as g
+FINE, ROUGH = 2.0, 3.5  # longest panel: 8 nodes leave 4e-12 or 5e-8
+_BEND = 0.7  # rad of an ellipse in one panel
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def rim_distance(octagon, row, z1, z2):
+    """Signed distance from z to an edge's line, or a lower bound of that to a piece's rim: below 0 inside."""
+    if octagon:
+        return row[0] * z1 + row[1] * z2 - row[2]
+    y1, y2 = z1 - row[0], z2 - row[1]
+    u1, u2 = row[2] * y1 + row[3] * y2, row[4] * y1 + row[5] * y2
+    return (math.sqrt(u1 * u1 + u2 * u2) - 1.0) * row[6]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def clearance(octagon, rows, z1, z2):
+    """Lower bound of the signed distance from z to the set: below 0 inside it."""
+    worst, least = -np.inf, np.inf
+    for i in range(len(rows)):
+        distance = rim_distance(octagon, rows[i], z1, z2)
+        worst, least = max(worst, distance), min(least, distance)
+    return worst if octagon else least
+
+
+@nb.njit(cache=True, error_model="numpy")
+def normal(octagon, row, z1, z2, wide):
+    """Unit normal (n1, n2) of the rim near z, and by how much (at most 1) it turns within `wide` of it."""
+    if octagon:
+        return row[0], row[1], 0.0
+    y1, y2 = z1 - row[0], z2 - row[1]
+    u1, u2 = row[2] * y1 + row[3] * y2, row[4] * y1 + row[5] * y2
+    n1, n2 = row[2] * u1 + row[4] * u2, row[3] * u1 + row[5] * u2
+    size = math.sqrt(n1 * n1 + n2 * n2)
+    sharpest = row[6] * row[6] / row[11]  # radius of curvature at the ends of the long axis
+    away = abs(rim_distance(octagon, row, z1, z2)) * row[11] / row[6]
+    if size == 0.0 or wide + away >= sharpest:
+        return 1.0, 0.0, 1.0
+    return n1 / size, n2 / size, (wide + away) / sharpest
+
+
+@nb.njit(cache=True, error_model="numpy")
+def mass(octagon, rows, arcs, z1, z2, reach, panel):
+    """P, where what is beyond `reach` of z counts as e^(−reach²/2) at most.
+
+    Args:
+        rows: (8, EDGE) or (N, PIECE); arcs: (M, 3) piece, from, to [rad], unread for octagons.
+        panel: longest panel, FINE or ROUGH.
+    """
+    away = clearance(octagon, rows, z1, z2)
+    if away >= reach:
+        return 0.0
+    if away <= -reach:
+        return 1.0
+    around, far = 0.0, away >= _FAR
+    for i in range(len(rows) if octagon else len(arcs)):
+        if octagon:
+            around += _edge(rows[i], z1, z2, reach, panel, far)
+        else:
+            around += _arc(rows, arcs[i], z1, z2, reach, panel, far)
+    return min(max((1.0 if away <= 0.0 else 0.0) + around / (2.0 * math.pi), 0.0), 1.0)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _density(q, far):
+    """g(q), or its part −e^(−q/2)/q."""
+    if far:
+        return -math.exp(-0.5 * q) / q
+    if q > 0.1:
+        return (1.0 - math.exp(-0.5 * q)) / q
+    term, total = 0.5, 0.5
+    for k in range(2, 10):
+        term *= -0.5 * q / k
+        total += term
+    return total
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _edge(row, z1, z2, reach, panel, far):
+    """∫ (g − 1/q) (y × dy) along one edge."""
+    h = -(row[0] * z1 + row[1] * z2 - row[2])  # above 0 inside, to the last bit as `clearance` says
+    if abs(h) >= reach:
+        return 0.0
+    tangent = row[0] * z2 - row[1] * z1
+    wide = math.sqrt(reach * reach - h * h)
+    low, high = max(row[3] - tangent, -wide), min(row[4] - tangent, wide)
+    if low >= high:
+        return 0.0
+    if low <= -wide and high >= wide:  # as good as a line
+        outside = -math.pi * math.erfc(abs(h) / math.sqrt(2.0))
+        return outside if h >= 0.0 else -outside
+    count = math.ceil((high - low) / panel)
+    half = 0.5 * (high - low) / count
+    total = 0.0
+    for p in range(count):
+        middle = low + (2 * p + 1) * half
+        for k in range(8):
+            x = middle + half * _NODES[k]
+            total += _WEIGHTS[k] * _density(h * h + x * x, far)
+    total *= h * half
+    if far:
+        return total
+    side = h if h != 0.0 else 1e-300
+    return total - (math.atan(high / side) - math.atan(low / side))
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _arc(rows, arc, z1, z2, reach, panel, far):
+    """The same along what is near of an arc of the rim of a piece."""
+    row = rows[int(arc[0])]
+    y1, y2 = z1 - row[0], z2 - row[1]
+    u1, u2 = row[2] * y1 + row[3] * y2, row[4] * y1 + row[5] * y2
+    norm = math.sqrt(u1 * u1 + u2 * u2)
+    within = reach / row[6]
+    if abs(norm - 1.0) >= within:
+        return 0.0
+    # in the plane of u the rim's point at angle θ is |e^(iθ) − u|, and at least that times the short half-axis away
+    turn = (within * within - (norm - 1.0) ** 2) / (4.0 * norm + 1e-300)
+    if turn >= 1.0:
+        return _panels(row, y1, y2, arc[1], arc[2], norm <= 1.0, reach, panel, far)
+    nearest, half = math.atan2(u2, u1), 2.0 * math.asin(math.sqrt(turn))
+    total = 0.0
+    for lap in range(-1, 3):  # arcs lie in [0, 2π]
+        low = max(arc[1], nearest - half + 2.0 * math.pi * lap)
+        high = min(arc[2], nearest + half + 2.0 * math.pi * lap)
+        if low < high:
+            total += _panels(row, y1, y2, low, high, norm <= 1.0, reach, panel, far)
+    return total
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _panels(row, y1, y2, low, high, inside, reach, panel, far):
+    """The same from one angle to another; y: from the piece's centre to z, which may be inside the piece."""
+    i11, i12, i21, i22 = row[7], row[8], row[9], row[10]
+    sign = 1.0 if i11 * i22 - i12 * i21 > 0.0 else -1.0
+    count = max(math.ceil(row[11] * (high - low) / panel), math.ceil((high - low) / _BEND))
+    half = 0.5 * (high - low) / count
+    along, total = row[11] * half, 0.0
+    turns = np.empty((8, 2))
+    for k in range(8):
+        turns[k, 0], turns[k, 1] = math.cos(half * _NODES[k]), math.sin(half * _NODES[k])
+    c0, s0 = math.cos(half), math.sin(half)
+    for p in range(count):
+        middle = low + (2 * p + 1) * half
+        c, s = math.cos(middle), math.sin(middle)
+        x1, x2 = i11 * c + i12 * s - y1, i21 * c + i22 * s - y2
+        if x1 * x1 + x2 * x2 >= (reach + along) ** 2:
+            continue
+        part = 0.0
+        for k in range(8):
+            ck, sk = c * turns[k, 0] - s * turns[k, 1], s * turns[k, 0] + c * turns[k, 1]
+            x1, x2 = i11 * ck + i12 * sk - y1, i21 * ck + i22 * sk - y2
+            d1, d2 = i12 * ck - i11 * sk, i22 * ck - i21 * sk
+            part += _WEIGHTS[k] * _density(x1 * x1 + x2 * x2, far) * (x1 * d2 - x2 * d1)
+        total += part * half * sign
+        if not far:
+            ca, sa, cb, sb = c * c0 + s * s0, s * c0 - c * s0, c * c0 - s * s0, s * c0 + c * s0
+            a1, a2 = i11 * ca + i12 * sa - y1, i21 * ca + i22 * sa - y2
+            b1, b2 = i11 * cb + i12 * sb - y1, i21 * cb + i22 * sb - y2
+            cross = sign * (a1 * b2 - a2 * b1)
+            angle = math.atan2(cross, a1 * b1 + a2 * b2)
+            if inside and cross < 0.0:  # between the chord and the arc
+                angle += 2.0 * math.pi
+            total -= angle
+    return total
