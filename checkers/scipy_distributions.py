@@ -134,11 +134,12 @@ def _degree(edges: Array, density: Any, support: Any) -> int:
     centre = float(w @ x)
     fine, coarse = w.reshape(len(edges) - 1, -1), v.reshape(len(edges) - 1, -1)
     x, y = (x - centre).reshape(fine.shape), (y - centre).reshape(coarse.shape)
+    alive = np.flatnonzero(fine.any(axis=1))  # farther out the density underflows: that nothing is added says nothing
     for n in range(1, HIGHEST_POWER + 1):
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             fine, coarse = fine * x, coarse * y
             parts = np.abs(fine).sum(axis=1)
-            ends, total = parts[[0, -1]][np.isinf(support)].sum(), parts.sum()
+            ends, total = parts[alive[[0, -1]]][np.isinf(support)].sum(), parts.sum()
             good = abs(float(coarse.sum() - fine.sum())) <= 1e-9 * total < np.inf and ends <= 1e-10 * total
         if not good:
             return n - 1

@@ -90,6 +90,7 @@ _PUBLIC = {
     "Traffic": "riskplan.closed_loop_traffic",
     "simulate": "riskplan.closed_loop",
     **dict.fromkeys(("Inflated", "inflated"), "riskplan.between_steps"),
+    "load_commonroad": "riskplan.io.commonroad",
     "load_predictions": "riskplan.io.predictions",
     "save_solution": "riskplan.io.solution",
     "save_trajectory": "riskplan.io.trajectory",
@@ -182,6 +183,7 @@ if TYPE_CHECKING:
     from riskplan.io import load_scenario as load_scenario
     from riskplan.io import save_plan as save_plan
     from riskplan.io import save_scenario as save_scenario
+    from riskplan.io.commonroad import load_commonroad as load_commonroad
     from riskplan.io.predictions import load_predictions as load_predictions
     from riskplan.io.solution import save_solution as save_solution
     from riskplan.io.trajectory import save_trajectory as save_trajectory

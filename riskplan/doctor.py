@@ -34,7 +34,15 @@ EXTRAS = {
     "cluster": (("joblib", "pyarrow", "distributed"), "riskplan batch --cluster"),
     "completion": (("shtab",), "completion in the shell"),
 }
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+BROWSER_VARIABLE = "RISKPLAN_CHROMIUM"
+BROWSERS = (
+    "chromium-headless-shell",
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+    "chrome",
+)
 
 
 @dataclass(frozen=True)
@@ -113,8 +121,16 @@ def _writable(folder: Path) -> bool:
         return False
 
 
+def find_browser() -> str | None:
+    """The browser to use: RISKPLAN_CHROMIUM, or the first of the usual names on the path; None if there is none."""
+    wanted = os.environ.get(BROWSER_VARIABLE)
+    if wanted:
+        return shutil.which(wanted)
+    return next((path for path in map(shutil.which, BROWSERS) if path), None)
+
+
 def _programs() -> Iterator[Check]:
-    browser = next((p for p in map(shutil.which, BROWSERS) if p), None)
+    browser = find_browser()
     advice = "install Chromium, for 3-D stills and films; .html, .png and .gif from above need none"
     yield Check("browser", browser is not None, browser or "none", False, advice)
     film = shutil.which("ffmpeg") or ("imageio-ffmpeg" if find_spec("imageio_ffmpeg") else None)

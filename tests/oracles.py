@@ -353,7 +353,13 @@ def tail_bound(raw, x0=0):
                 system[i, j] = shifted[i + j + 1]
             right[i] = -shifted[i + n + 1] if i + n + 1 < len(shifted) else mp.mpf(0)
         a = mp.lu_solve(system, right)
-        roots = mp.polyroots([mp.mpf(1), *[a[j] for j in range(n - 1, -1, -1)]], maxsteps=500, extraprec=400)
+        companion = mp.matrix(n, n)  # of r: `mp.polyroots` takes coefficients in an order that depends on the release
+        for i in range(n):
+            companion[i, n - 1] = -a[i]
+            if i:
+                companion[i, i - 1] = 1
+        with mp.workdps(180):
+            roots = mp.eig(companion, left=False, right=False) if n > 1 else [-a[0]]
         nodes = [mp.mpf(0), *[mp.re(r) for r in roots]]
         vander = mp.matrix(n + 1, n + 1)
         for i in range(n + 1):

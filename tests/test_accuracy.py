@@ -283,14 +283,16 @@ def test_sos_closed_form_from_moments_of_a_few_points():
         assert value == pytest.approx(best, rel=1e-6)
 
 
-@pytest.mark.parametrize("order", [2, 4, 6, 8])
-def test_sos_closed_form_agrees_with_clarabel(order):
+@pytest.mark.parametrize(("order", "looser"), [(2, 1e-6), (4, 2e-6), (6, 5e-6), (8, 1e-3)])
+def test_sos_closed_form_agrees_with_clarabel(order, looser):
+    """The certificate pays for what the solver leaves over: at order 8 up to 3e-4, whatever its tolerance."""
     rng = np.random.default_rng(30 + order)
-    means, covs = rng.uniform(-2.5, 2.5, (15, 2)), cases(rng, 15, sigma=(0.3, 1.5), ratio=3.0)[2]
-    pred, poses = row(means, covs), np.zeros((15, 3))
+    n = 150
+    means, covs = rng.uniform(-2.5, 2.5, (n, 2)), cases(rng, n, sigma=(0.3, 1.5), ratio=3.0)[2]
+    pred, poses = row(means, covs), np.zeros((n, 3))
     closed = checker("sos", order=order)(poses, pred, DISC).value
     solved = checker("sos", order=order, solver="clarabel")(poses, pred, DISC).value
-    np.testing.assert_allclose(solved, closed, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(solved, closed, rtol=looser)
     assert (solved >= closed - 1e-9).all()  # certified: above the optimum
 
 

@@ -32,6 +32,18 @@ def test_python_blocks_run_in_order(page, tmp_path):
     runpy.run_path(str(script), run_name="__page__")
 
 
+def test_the_scenario_shown_can_be_planned(tmp_path):
+    (shown,) = [b for b in blocks(ROOT / "docs" / "index.md", "yaml") if not b.startswith("#")]
+    (tmp_path / "scene.yaml").write_text(shown)
+    assert rp.plan(rp.load_scenario(tmp_path / "scene.yaml"), bound=0.01, time_limit=20.0).solved
+
+
+@pytest.mark.parametrize("page", ["add-backend.md", "add-vehicle.md"])
+def test_what_is_added_may_be_typed_at_a_prompt(page):
+    code = "\n".join(blocks(ROOT / "docs" / page, "python"))
+    exec(compile(code, "<stdin>", "exec"), {"__name__": "__page__"})
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_commands_exist(page):
     known = parser()

@@ -153,6 +153,17 @@ def test_commonroad_s_own_reader_accepts_it(plan, scenario_file, tmp_path, model
         np.testing.assert_allclose([np.hypot(s.velocity, s.velocity_y) for s in states], plan.speeds)
 
 
+def test_a_point_mass_that_stands_keeps_its_heading(scenario_file, tmp_path):
+    pytest.importorskip("commonroad", reason="needs the extra commonroad")
+    times = 0.1 * np.arange(4)
+    poses = np.tile([5.0, -2.0, 3.1], (4, 1))
+    rp.save_solution(Plan("solved", times, poses, np.zeros(4), None), tmp_path / "s.xml", scenario_file)
+    for state in et.parse(tmp_path / "s.xml").iter("pmState"):
+        along, across = (float(state.findtext(key, "")) for key in ("xVelocity", "yVelocity"))
+        assert np.arctan2(across, along) == pytest.approx(3.1)
+        assert np.hypot(along, across) < 1e-6
+
+
 def test_the_drivability_checker_finds_it_feasible(plan, scenario_file, tmp_path):
     judge = pytest.importorskip(
         "commonroad_dc.feasibility.solution_checker", reason="needs commonroad-drivability-checker"

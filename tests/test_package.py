@@ -156,6 +156,17 @@ def test_completion_knows_commands_options_and_names(capsys, shell, tmp_path):
         assert done.stdout.split() == ["assess"]
 
 
+@pytest.mark.parametrize("name", ["chromium-headless-shell", "google-chrome"])
+def test_doctor_and_pictures_find_the_same_browser(tmp_path, monkeypatch, capsys, name):
+    from riskplan.pictures import browser
+
+    monkeypatch.delenv(browser.ENVIRONMENT, raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    (tmp_path / name).touch(0o755)
+    (found,) = [c["found"] for c in json.loads(said(capsys, "doctor", "--json")[1])["checks"] if c["name"] == "browser"]
+    assert found == browser.need() == str(tmp_path / name)
+
+
 def test_doctor_tells_what_is_missing_and_how_to_get_it(capsys, monkeypatch):
     import riskplan.doctor
 

@@ -232,6 +232,7 @@ def calls(tmp_path_factory) -> dict[str, tuple[Callable[..., Any], dict[str, Any
             rp.load_predictions,
             {"path": folder / "agent.npz", "format": "npz", "growth": None, "scene": None, "normalise": False},
         ),
+        "load_commonroad": (rp.load_commonroad, {"path": folder / "scene.xml"}),
         "load_scenario": (rp.load_scenario, {"path": folder / "scene.yaml", "problem": 0}),
         "make_planner": (rp.make_planner, {"name": "rrt", "motion_steps": 15, "goal_bias": 0.2}),
         "merged": (rp.merged, {"pred": agent, "order": 4}),

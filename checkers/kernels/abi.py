@@ -45,7 +45,8 @@ def kernel(function: Callable[..., float]) -> Kernel:
     Under numpy's error model a division by zero gives NaN, which callers refuse; an exception would be swallowed at the
     C boundary and read as the value 0.
     """
-    compiled = nb.cfunc(SIGNATURE, cache=True, error_model="numpy")(function)
+    in_a_file = not function.__code__.co_filename.startswith("<")  # typed at a prompt there is nowhere to keep it
+    compiled = nb.cfunc(SIGNATURE, cache=in_a_file, error_model="numpy")(function)
     return Kernel(compiled, int(compiled.address))
 
 

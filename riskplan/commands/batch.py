@@ -46,8 +46,8 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({**asdict(summary), "out": str(args.out)}))
         return SOLVED
     told = ", ".join(f"{count} {status}" for status, count in sorted(summary.statuses.items())) or "nothing to do"
-    print(f"{summary.scenarios} scenarios, {summary.before} done before; {told}; {summary.seconds:.1f} s")
-    print(f"wrote {summary.shards} shards to {args.out}")
+    print(f"scenarios: {summary.scenarios}, done before: {summary.before}; {told}; {summary.seconds:.1f} s")
+    print(f"shards written to {args.out}: {summary.shards}")
     return SOLVED
 
 

@@ -22,6 +22,7 @@ from riskplan.result import Plan
 MODELS = ("KS", "PM")
 COST_FUNCTIONS = ("JB1", "SA1", "WX1", "SM1", "SM2", "SM3", "MW1", "TR1", "TR2")
 PM_COST_FUNCTIONS = ("JB1", "WX1", "MW1")
+STANDING = 1e-9  # [m/s]
 # a, b [m] from the centre to the front and the rear axle of Ford Escort, BMW 320i, VW Vanagon
 # (Althoff & Würsching 2020, table 6)
 AXLES = {1: (0.88392, 1.50876), 2: (1.1561957064, 1.4227170936), 3: (1.1507916024, 1.3211363976)}
@@ -86,7 +87,9 @@ def _states(plan: Plan, model: str, axles: tuple[float, float]) -> dict[str, Arr
     curvature = columns(plan)["curvature"]
     x, y, heading = plan.poses.T
     if model == "PM":
-        along, across = plan.speeds * np.cos(heading), plan.speeds * np.sin(heading)
+        # CommonRoad turns the body of a point mass into the direction of its velocity, so a car that stands keeps some
+        speeds = np.where(plan.speeds == 0.0, STANDING, plan.speeds)
+        along, across = speeds * np.cos(heading), speeds * np.sin(heading)
         return {"x": x, "y": y, "xVelocity": along, "yVelocity": across}
     wheelbase, speeds = sum(axles), plan.speeds
     if plan.steering.any():

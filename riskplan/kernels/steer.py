@@ -43,7 +43,8 @@ class Kernel(NamedTuple):
 
 def steer_kernel(function: Callable[..., int]) -> Kernel:
     """Compile a vehicle's function to the common signature; `.address` is what loops take."""
-    compiled = nb.cfunc(SIGNATURE, cache=True, error_model="numpy")(function)
+    in_a_file = not function.__code__.co_filename.startswith("<")  # typed at a prompt there is nowhere to keep it
+    compiled = nb.cfunc(SIGNATURE, cache=in_a_file, error_model="numpy")(function)
     return Kernel(compiled, int(compiled.address))
 
 

@@ -6,7 +6,6 @@ No driver, no port, no server: `--dump-dom` prints the page when it has loaded, 
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import tempfile
@@ -14,9 +13,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from checkers import InputError
+from riskplan.doctor import BROWSER_VARIABLE, find_browser
 
-ENVIRONMENT = "RISKPLAN_CHROMIUM"
-NAMES = ("chromium-headless-shell", "chromium", "google-chrome", "google-chrome-stable", "chrome")
+ENVIRONMENT = BROWSER_VARIABLE
+find = find_browser
 FLAGS = (
     "--headless",
     "--use-angle=swiftshader",  # software: the same pixels everywhere, and no graphics card needed
@@ -30,14 +30,6 @@ FLAGS = (
     "--disable-component-update",
     "--disable-default-apps",
 )
-
-
-def find() -> str | None:
-    """The browser to use: RISKPLAN_CHROMIUM, or the first of the usual names on the path; None if there is none."""
-    wanted = os.environ.get(ENVIRONMENT)
-    if wanted:
-        return shutil.which(wanted)
-    return next((path for path in map(shutil.which, NAMES) if path), None)
 
 
 def need() -> str:
