@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -13,9 +14,9 @@ from ompl import base as ob
 
 from checkers import InputError
 from checkers.validate import Array
-from riskplan.kernels.roadmap import CHILD, CHILDREN, expand, traverse
+from riskplan.kernels.roadmap import CHILD, CHILDREN, TURNS, expand, traverse
 from riskplan.ompl.attached import AttachedEdges, free_goals
-from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler
+from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler, about
 from riskplan.ompl.validity import RiskMotionValidator
 from riskplan.search import Budget, Problem, SearchResult
 from riskplan.vehicles import curve_limits
@@ -37,7 +38,8 @@ class Prm:
     OMPL's PRM samples the vertices; its undirected edges are not used. A label is a place on an edge at a grid step,
     with a speed and the accumulated risk per agent and mode; the acceleration is chosen anew where an edge ends, where
     the ego stands, and after 15 steps. One label replaces another at the same vertex, step and speed if no component of
-    its risk is higher. The roadmap is made larger while the search fails and time is left.
+    its risk is higher. The roadmap is made larger while the search fails and time is left. A vehicle that reverses can
+    stop at vertices too, and goes on from there either way.
 
     Attributes:
         size: vertices at first.
@@ -70,8 +72,12 @@ def search_roadmaps(
     problem, budget, seed = task
     rng = np.random.default_rng(seed)
     sampler: Sampler | None = None
-    if roadmap is not None and roadmap.radii.min() < 1.0 / curve_limits(problem.scenario.vehicle).curvature - 1e-9:
-        roadmap = Roadmap.of(problem.scenario, roadmap.vertices, budget.expired)  # made for a nimbler car
+    limits = curve_limits(problem.scenario.vehicle)
+    if roadmap is not None and (
+        roadmap.radii.min() < 1.0 / limits.curvature - 1e-9
+        or (limits.reverse > 0.0 and roadmap.forwards == len(roadmap.ends))
+    ):  # made for a nimbler car, or for one that does not reverse
+        roadmap = Roadmap.of(problem.scenario, roadmap.vertices, budget.expired)
     best: SearchResult | None = None
     counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
     lowest = np.inf
@@ -103,7 +109,8 @@ class Label(NamedTuple):
 
     Attributes:
         pose: (3,) the last that is known: at this step, or the step before if `pending`.
-        vertex: where its edges begin; edge: the one it is on, or −1 for any of them.
+        vertex: where its edges begin, which tells whether they are driven backwards, at a negative speed.
+        edge: the one it is on, or −1 for any of them.
         place: beyond the vertex [m]; pending: whether the pose at this step lies on the edge that is chosen next.
         fastest: speed within the last step; poses: (S, 4) driven since the parent, x, y, heading, speed.
     """
@@ -122,15 +129,24 @@ class Label(NamedTuple):
     poses: Array
 
     @property
-    def row(self) -> Array:
-        """As the kernels read it."""
-        return np.array([*self.pose, self.speed, self.place, self.step, self.pending, self.fastest])
-
-    @property
     def key(self) -> tuple[int, int, int, int, int]:
-        """Labels with the same compete."""
-        place = int(self.place) if self.edge >= 0 else 0
+        """Labels with the same compete; one that stands at its vertex may turn."""
+        place = int(self.place) if self.edge >= 0 else -1 if self.speed == 0.0 and not self.pending else 0
         return self.vertex, self.edge, self.step, int(self.speed / _SAME_SPEED), place
+
+
+class _Way(NamedTuple):
+    """What the kernels read of driving one way, forwards or backwards: limits, and the goal as it looks from there."""
+
+    limits: Array
+    goal: tuple[np.ndarray, Array, Array, Array]
+
+
+def _about(goal: tuple[np.ndarray, Array, Array, Array]) -> tuple[np.ndarray, Array, Array, Array]:
+    """The goal of the same vehicle turned round that drives forwards."""
+    start, vertices, boxes, terms = goal
+    wanted, tolerance, slowest, fastest = terms.T
+    return start, vertices, boxes, np.column_stack([wanted + np.pi, tolerance, -fastest, -slowest])
 
 
 class Query:
@@ -139,14 +155,20 @@ class Query:
     def __init__(self, problem: Problem, budget: Budget, roadmap: Roadmap, rng: np.random.Generator) -> None:
         self.problem, self.budget = problem, budget
         self.validator = _motion_validator(problem)
-        self.limits = np.array(curve_limits(problem.scenario.vehicle))
+        limits = curve_limits(problem.scenario.vehicle)
+        top = max(limits.speed, limits.reverse)
+        self.ways = [_Way(np.array([*limits[:5], top]), problem.goal.arrays)]
+        if limits.reverse > 0.0:
+            backwards = limits._replace(speed=limits.reverse)
+            self.ways.append(_Way(np.array([*backwards[:5], top]), _about(problem.goal.arrays)))
         self.edges = AttachedEdges(problem, roadmap, free_goals(problem, rng, 48))
         self.out = np.empty((problem.goal.latest + 2, 4))
-        self.room = np.empty((10 * EDGES * CHILDREN + 1, CHILD))
+        self.room = np.empty((10 * EDGES * CHILDREN + 2, CHILD))
         # where no edges lead to the goal one may pass it on the way; more vertices are the better bet
         self.most = np.inf if self.edges.connected else _UNCONNECTED
         pose, speed, nothing = np.array(problem.start_state[:3]), problem.start_state[3], np.zeros((0, 4))
-        start = (pose, speed, 0, self.edges.source, -1, 0.0, False, speed)
+        source = self.edges.turned(self.edges.source) if speed < 0.0 else self.edges.source
+        start = (pose, speed, 0, source, -1, 0.0, False, abs(speed))
         self.labels = [Label(*start, problem.start_risk, problem.start_total, -1, nothing)]
         self.checked, self.lowest = 0, np.inf
 
@@ -206,7 +228,7 @@ class Query:
     def result(self, best: int) -> SearchResult:
         """What was found: the way to the label of that number, −1 for none."""
         counters = {
-            "vertices": len(self.edges.poses),
+            "vertices": self.edges.count,
             "edges": len(self.edges.roadmap.ends),
             "labels": len(self.labels),
             "checked_steps": self.checked,
@@ -216,14 +238,29 @@ class Query:
     def children(self, label: Label) -> list[list[float]]:
         """Rows of `expand`."""
         goal = self.problem.goal
-        edges = self.edges.out_of(label.vertex)
+        edges, turned = self.edges.out_of(label.vertex), -1.0
+        if len(self.ways) > 1:
+            turns = label.edge < 0 and not label.pending
+            turned = self.edges.road[self.edges.turned(label.vertex)] if turns else np.inf
         chosen = (0, len(edges.lengths)) if label.edge < 0 else (label.edge, label.edge + 1)
         here = max(self.edges.road[label.vertex] - label.place, 0.0)
         graph = edges.lengths, edges.curves, edges.final, edges.away, edges.road
-        fixed = self.problem.scenario.time_step, self.limits, self.room
-        count = expand(chosen, label.row, here, (goal.earliest, goal.latest), *graph, *fixed)
+        fixed = self.problem.scenario.time_step, self.ways[self._way(label)].limits, self.room
+        count = expand(chosen, self.row(label), here, turned, (goal.earliest, goal.latest), *graph, *fixed)
         rows: list[list[float]] = self.room[:count].tolist()
         return rows
+
+    def _way(self, label: Label) -> int:
+        """Whether it is driven backwards."""
+        return int(label.vertex >= self.edges.count)
+
+    def row(self, label: Label) -> Array:
+        """The label as the kernels read it, to whom all driving is forwards."""
+        x, y, heading = label.pose
+        speed = label.speed
+        if self._way(label):
+            heading, speed = heading + math.pi, -speed
+        return np.array([x, y, heading, speed, label.place, label.step, label.pending, label.fastest])
 
     def driven(self, number: int, child: tuple[float, ...]) -> tuple[Label, bool] | None:
         """The label at the end of a child, not charged, and whether it arrived; None if the world is in the way."""
@@ -234,11 +271,12 @@ class Query:
             return None
         pose = poses[-1, :3] if len(poses) else label.pose
         vertex, place, pending = label.vertex, child[4], child[6] > 0.0
-        if pending:
+        speed = -child[5] if child[5] > 0.0 and self._way(label) else child[5]
+        if pending or child[8] > 0.0:
             vertex, edge = int(self.edges.out_of(vertex).ends[edge]), -1
         elif edge < 0:
-            edge = label.edge
-        after = (pose, child[5], step, vertex, edge, place, pending, child[7])
+            vertex, edge = self.edges.turned(vertex) if edge == TURNS else vertex, label.edge
+        after = (pose, speed, step, vertex, edge, place, pending, child[7])
         return Label(*after, label.risk, label.total, number, poses), arrived
 
     def charged(self, label: Label, arrived: bool) -> Label | None:
@@ -259,15 +297,28 @@ class Query:
         return label._replace(risk=risk, total=total) if total <= self.budget.limit else None
 
     def _traversed(self, label: Label, child: tuple[float, ...]) -> tuple[Array | None, bool]:
-        p, edges, edge = self.problem, self.edges.out_of(label.vertex), int(child[0])
-        way = self.edges.poses[label.vertex], edges.curves[edge], edges.lengths[edge], np.array(child), label.row
-        grid = p.scenario.time_step, p.goal.latest, p.goal.earliest, self.limits
-        driven, arrived = traverse(*way, *grid, p.world.packed, p.goal.arrays, self.out)
-        return (None if driven < 0 else self.out[:driven].copy()), arrived
+        p, edges, edge, way = self.problem, self.edges.out_of(label.vertex), int(child[0]), self._way(label)
+        along = (
+            self.edges.poses[label.vertex],
+            edges.curves[edge],
+            edges.lengths[edge],
+            np.array(child),
+            self.row(label),
+        )
+        grid = p.scenario.time_step, p.goal.latest, p.goal.earliest, self.ways[way].limits
+        driven, arrived = traverse(*along, *grid, p.world.packed, self.ways[way].goal, self.out)
+        if driven < 0:
+            return None, False
+        poses = self.out[:driven].copy()
+        if way:
+            poses[:, :3], poses[:, 3] = about(poses), 0.0 - poses[:, 3]
+        return poses, arrived
 
     def _waited(self, label: Label, steps: int) -> tuple[Array, bool]:
         goal = self.problem.goal
         poses = np.tile(np.append(label.pose, 0.0), (steps, 1))
+        if not steps:
+            return poses, False
         soonest = max(goal.earliest - label.step, 1)
         if soonest <= steps and goal.holds(*poses[0].tolist()):
             return poses[:soonest], True
