@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import NamedTuple
@@ -176,38 +176,47 @@ class Query:
         """Best-first over lazily judged labels: a child is driven and charged when it is taken, not when it is made."""
         p, budget = self.problem, self.budget
         seen: dict[tuple[int, ...], list[Array]] = {}
-        heap: list[tuple[float, float, int, int, tuple[float, ...]]] = []
+        heap: list[tuple[float, float, int]] = []  # of labels, by the best of their children that are left
+        left: dict[int, list[tuple[float, float, int, list[float]]]] = {}  # these, the best last
         failed: dict[int, int] = {}
-        serial, best, aim = 0, -1, np.inf
+        best, aim = -1, np.inf
 
-        def ranked(number: int, child: Sequence[float]) -> float:
-            total = self.labels[number].total
-            return child[3] // TOGETHER if total <= aim else _LAST + _decade(total)
+        def ranked(number: int, children: Iterable[list[float]]) -> None:
+            label = self.labels[number]
+            rank = None if label.total <= aim else _LAST + _decade(label.total)
+            left[number] = sorted(
+                (
+                    (
+                        child[3] // TOGETHER if rank is None else rank,
+                        -min(label.step + child[1], p.goal.latest),
+                        order,
+                        child,
+                    )
+                    for order, child in enumerate(children)
+                ),
+                reverse=True,
+            )
 
         def push(number: int) -> None:
-            nonlocal serial
-            label = self.labels[number]
-            for child in self.children(label):
-                serial += 1
-                after = min(label.step + child[1], p.goal.latest)
-                heapq.heappush(heap, (ranked(number, child), -after, serial, number, tuple(child)))
+            if left[number]:
+                rank, tie, *_ = left[number][-1]
+                # deep first, but not where one way after the other fails
+                heapq.heappush(heap, (rank, tie + failed.get(number, 0) / _FAILURES, number))
 
+        ranked(0, self.children(self.labels[0]))
         push(0)
         while heap and len(self.labels) < self.most and not budget.over():
-            rank, tie, order, number, child = heapq.heappop(heap)
-            label = self.labels[number]
-            if label.total > budget.limit:
+            number = heapq.heappop(heap)[2]
+            if self.labels[number].total > budget.limit:
                 continue
-            # deep first, but not where one way after the other fails
-            late = failed.get(number, 0) / _FAILURES - min(label.step + child[1], p.goal.latest)
-            if late > tie + 1.0:
-                heapq.heappush(heap, (rank, late, order, number, child))
-                continue
+            child = left[number].pop()[3]
             driven = self.driven(number, child)
             judged = None if driven is None else self.charged(*driven)
             if driven is None or judged is None:
                 failed[number] = failed.get(number, 0) + 1
+                push(number)
                 continue
+            push(number)
             label, arrived = judged, driven[1]
             if not arrived and not _undominated(seen, label.key, p.evaluator.levels(label.risk)):
                 continue
@@ -218,10 +227,13 @@ class Query:
                     break
                 # without a bound: much safer ones next, as if they were the first, and then by risk
                 aim = _SAFER * label.total
-                heap = [(ranked(*each[3:]), *each[1:]) for each in heap]
-                heapq.heapify(heap)
+                heap.clear()
+                for each, rows in left.items():
+                    ranked(each, [row[3] for row in sorted(rows, key=lambda row: row[2])])
+                    push(each)
                 seen.clear()
             else:
+                ranked(len(self.labels) - 1, self.children(label))
                 push(len(self.labels) - 1)
         return self.result(best)
 
@@ -262,7 +274,7 @@ class Query:
             heading, speed = heading + math.pi, -speed
         return np.array([x, y, heading, speed, label.place, label.step, label.pending, label.fastest])
 
-    def driven(self, number: int, child: tuple[float, ...]) -> tuple[Label, bool] | None:
+    def driven(self, number: int, child: Sequence[float]) -> tuple[Label, bool] | None:
         """The label at the end of a child, not charged, and whether it arrived; None if the world is in the way."""
         label, edge = self.labels[number], int(child[0])
         poses, arrived = self._waited(label, int(child[1])) if edge < 0 else self._traversed(label, child)
@@ -296,7 +308,7 @@ class Query:
             self.lowest = min(self.lowest, total)
         return label._replace(risk=risk, total=total) if total <= self.budget.limit else None
 
-    def _traversed(self, label: Label, child: tuple[float, ...]) -> tuple[Array | None, bool]:
+    def _traversed(self, label: Label, child: Sequence[float]) -> tuple[Array | None, bool]:
         p, edges, edge, way = self.problem, self.edges.out_of(label.vertex), int(child[0]), self._way(label)
         along = (
             self.edges.poses[label.vertex],
