@@ -111,7 +111,7 @@ def test_it_waits_for_one_who_crosses():
         horizon=10.0,
     )
     for seed in range(2):  # counted in iterations, not by the clock: a busy machine finds the same
-        plan = rp.plan(scene, "prm", bound=0.01, time_limit=120.0, iterations=2_000_000, seed=seed)
+        plan = rp.plan(scene, "prm", bound=0.01, time_limit=120.0, iterations=400_000, seed=seed)
         assert plan.solved, plan.message
         assert_drivable(scene.vehicle, states_of(plan), scene.time_step)
         assert plan.times[-1] > 6.5 and plan.speeds.min() < 4.0
@@ -127,12 +127,24 @@ def test_a_larger_roadmap_does_not_take_longer_than_is_left():
         assert not plan.solved and plan.stats["search"] < limit + 0.15
 
 
+def test_a_poor_roadmap_is_left_after_its_share():
+    """The first of 300 vertices has no way within the bound, and more labels than anyone will wait for."""
+    scene = overtake()
+    for planner in ("prm", "prm-lazy"):
+        plan = rp.plan(scene, planner, bound=1e-6, time_limit=60.0, iterations=60_000, seed=1)
+        assert plan.solved and plan.stats["roadmaps"] == 2 and plan.stats["vertices"] > 600
+        assert plan.stats["iterations"] > 20_000
+        again = rp.plan(scene, planner, bound=1e-6, time_limit=60.0, iterations=60_000, seed=1)
+        np.testing.assert_array_equal(plan.poses, again.poses)
+
+
 WRONG = {
     "far": ({"ends": [[0, 900]]}, "ends: expected numbers of the 200 vertices"),
     "order": ({"ends": [[5, 1], [0, 2]], "kinds": [0, 0]}, "in order of the first"),
     "shape": ({"ends": [0, 1]}, r"ends: expected \(E, 2\) int64"),
     "kind": ({"kinds": [9]}, r"kinds: expected \(1,\) int64 in 0..2"),
     "no way": ({"ends": [[0, 0]]}, "pairs of vertices that a curve joins"),
+    "both ways": ({"ends": [[0, 201]]}, "ends: expected edges that are driven one way, forwards or backwards"),
 }
 
 
@@ -156,3 +168,113 @@ def test_a_lazy_search_takes_the_same_roadmap():
         assert_drivable(scene.vehicle, states_of(plan), scene.time_step)
     with pytest.raises(rp.InputError, match="^prm-lazy: size: expected an integer >= 2, got 1"):
         rp.PrmLazy(size=1)
+
+
+def box(x0, y0, x1, y1):
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
+
+
+def behind(speed=0.0, speeds=(-3.0, 0.5)):
+    """A street too narrow to turn in, and a goal behind."""
+    return rp.Scenario(
+        start=rp.State(0.0, 0.0, 0.0, speed),
+        goal=rp.Goal((rp.GoalRegion(box(-14, -1.2, -10, 1.2), 0.0, 0.4, speeds),)),
+        bounds=(-20.0, -1.3, 12.0, 1.3),
+        horizon=10.0,
+        vehicle=rp.ReedsSheppCar(),
+    )
+
+
+def parking(**changed):
+    """Between two rows of parked cars, past a free place: to stand in it, its nose to the street."""
+    scene = rp.Scenario(
+        start=rp.State(0.0, 0.0, 0.0, 1.0),
+        goal=rp.Goal((rp.GoalRegion(box(3.3, -6.5, 4.7, -5.2), np.pi / 2, 0.15, (-0.3, 0.3)),)),
+        bounds=(-8.0, -9.0, 18.0, 3.5),
+        obstacles=(box(-8, -8.9, 2.6, -3.2), box(5.4, -8.9, 18, -3.2)),
+        horizon=20.0,
+        vehicle=rp.ReedsSheppCar(max_reverse_speed=2.0),
+    )
+    return replace(scene, **changed)
+
+
+def changes(plan):
+    """How often the direction changes."""
+    moving = plan.speeds[plan.speeds != 0.0]
+    return int((np.sign(moving[1:]) != np.sign(moving[:-1])).sum())
+
+
+BACKWARDS = {
+    "behind": (behind(), 0),
+    "behind, in motion": (behind(5.0), 1),
+    "behind, in reverse": (behind(-4.0), 0),
+    "ahead, in reverse": (replace(behind(-2.0), goal=rp.Goal.at(6.0, 0.0, radius=1.0, heading=0.0)), 1),
+    "behind, entered forwards": (behind(-1.0, (0.5, 3.0)), 1),
+    "parking": (parking(), 1),
+}
+
+
+@pytest.mark.parametrize("planner", ["prm", "prm-lazy"])
+@pytest.mark.parametrize("case", BACKWARDS)
+def test_a_car_that_reverses_is_driven_backwards(case, planner):
+    scene, least = BACKWARDS[case]
+    for seed in range(3 if planner == "prm" else 1):
+        plan = rp.plan(scene, planner, bound=0.1, time_limit=60.0, iterations=30_000, seed=seed)
+        assert plan.solved, plan.message
+        assert changes(plan) >= least
+        # standing where the direction changes, the heading kept, no faster than it reverses
+        assert_drivable(scene.vehicle, states_of(plan), scene.time_step)
+        assert all(scene.world.free(*pose) for pose in plan.poses)
+    stiff = replace(scene, vehicle=rp.KinematicCar(), start=replace(scene.start, speed=max(scene.start.speed, 0.0)))
+    if "ahead" not in case:
+        assert not rp.plan(stiff, planner, bound=0.1, time_limit=60.0, iterations=3000).solved
+
+
+def test_one_who_reverses_lets_pass_who_comes_from_behind():
+    """He passes the place in the first four seconds: to back into his way is a collision."""
+    passing = rp.GaussianMixturePrediction(
+        FAR,
+        [1.0],
+        np.column_stack([-45.0 + 10.0 * FAR, -4.5 + 0.0 * FAR])[:, None],
+        0.02 * np.tile(np.eye(2), (101, 1, 1, 1)),
+        name="passing",
+        length=4.5,
+        width=1.8,
+    )
+    wide = parking(
+        obstacles=(), agents=(passing,), horizon=10.0, vehicle=rp.ReedsSheppCar(), bounds=(-8.0, -9.0, 18.0, 1.3)
+    )
+    plan = rp.plan(wide, "prm", bound=0.01, time_limit=60.0, iterations=100_000)
+    assert plan.solved and float(plan.risk.total) <= 0.01
+    assert_drivable(wide.vehicle, states_of(plan), wide.time_step)
+    assert plan.times[-1] > 4.5 and plan.speeds.min() < -0.5
+
+
+def test_a_roadmap_both_ways_is_kept_and_serves_a_forward_car_too(tmp_path):
+    scene = parking()
+    roadmap = rp.Roadmap.build(scene, 300, seed=1)
+    assert 0 < roadmap.forwards < len(roadmap.ends)
+    for (source, target), curve, length in zip(roadmap.ends, roadmap.curves, roadmap.lengths, strict=True):
+        turn = np.pi * (source >= 300)
+        x, y, heading = roadmap.vertices[source % 300]
+        reached = np.array(along(x, y, heading + turn, curve, length))
+        np.testing.assert_allclose(reached[:2], roadmap.vertices[target % 300, :2], atol=1e-6)
+        assert abs(np.angle(np.exp(1j * (reached[2] - turn - roadmap.vertices[target % 300, 2])))) < 1e-6
+    roadmap.save(tmp_path / "map.npz")
+    again = rp.Roadmap.load(tmp_path / "map.npz")
+    np.testing.assert_array_equal(again.curves, roadmap.curves)
+    forward = rp.Roadmap.build(replace(scene, vehicle=rp.KinematicCar()), 300, seed=1)
+    assert len(forward.ends) == forward.forwards == roadmap.forwards
+    plans = [
+        rp.plan(scene, rp.Prm(roadmap=r), bound=0.1, time_limit=60.0, iterations=20_000)
+        for r in (roadmap, again, forward)
+    ]
+    assert all(p.solved and p.stats["roadmaps"] == 1 for p in plans)
+    assert plans[0].stats["edges"] == plans[2].stats["edges"] == len(roadmap.ends)  # made anew, of the same vertices
+    ahead = replace(scene, vehicle=rp.KinematicCar(), goal=rp.Goal.at(12.0, 0.0, radius=1.0))
+    plans += [
+        rp.plan(ahead, rp.Prm(roadmap=r), bound=0.1, time_limit=60.0, iterations=20_000) for r in (roadmap, forward)
+    ]
+    np.testing.assert_array_equal(plans[0].poses, plans[1].poses)
+    np.testing.assert_array_equal(plans[0].poses, plans[2].poses)
+    np.testing.assert_array_equal(plans[3].poses, plans[4].poses)

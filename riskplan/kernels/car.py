@@ -8,7 +8,7 @@ import numpy as np
 from riskplan.kernels.steer import arrays, steer_kernel
 
 # limits, in the order of `vehicles.CurveLimits`
-ACCELERATION, DECELERATION, CURVATURE, SPEED, LATERAL = range(5)
+ACCELERATION, DECELERATION, CURVATURE, SPEED, LATERAL, REVERSE = range(6)
 
 
 @nb.njit(inline="always", error_model="numpy")

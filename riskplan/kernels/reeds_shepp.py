@@ -2,10 +2,8 @@
 
 import math
 
-from riskplan.kernels.car import ACCELERATION, CURVATURE, DECELERATION, LATERAL, SPEED, arc, controls
+from riskplan.kernels.car import ACCELERATION, CURVATURE, DECELERATION, LATERAL, REVERSE, SPEED, arc, controls
 from riskplan.kernels.steer import arrays, steer_kernel
-
-REVERSE = 5  # after the limits of a forward car
 
 
 @steer_kernel

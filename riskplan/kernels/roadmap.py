@@ -16,8 +16,14 @@ ARRIVALS = 12
 _GREED = 0.5  # by which a least ride is longer in the rank
 # steps after which one who drives on, or stands, decides anew
 _LONGEST, _WAIT = 15, 5
+# longest way to a standstill at the end of an edge, in steps
+_HALT = 40
+# edge numbers of children that stay where they are: one waits, the other turns to driving the other way
+WAITS, TURNS = -1, -2
 # columns of a child, see `expand`, and most children of an edge
-CHILD, CHILDREN = 8, _PACES.shape[0] + ARRIVALS
+CHILD, CHILDREN = 9, _PACES.shape[0] + ARRIVALS + 1
+# limits, after those of `vehicles.CurveLimits` as far as LATERAL: the top speed of a vehicle that may turn later
+TOP = LATERAL + 1
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -133,7 +139,7 @@ def traverse(pose, curve, length, child, label, dt, latest, earliest, limits, wo
     pose: (3,) where the edge begins; child: a row of `expand`; label: (x, y, heading, speed, place, step, pending,
     fastest), see `expand`. A pending pose is driven first. Ends early in the goal. out: (S, 4) x, y, heading, speed.
     """
-    steps, a, pending = int(child[1]), child[2], child[6] > 0.0
+    steps, a, pending, brakes = int(child[1]), child[2], child[6] > 0.0, int(child[8])
     speed, place, step = label[3], label[4], int(label[5])
     top = _cornering(curve, place, length, limits)
     count, arrived = 0, False
@@ -141,7 +147,7 @@ def traverse(pose, curve, length, child, label, dt, latest, earliest, limits, wo
         if step + i > latest:
             break
         if i > 0:
-            after = _faster(speed, a, dt, top)
+            after = _faster(speed, a, dt, top) if brakes == 0 or i <= brakes else speed - speed / (steps - i + 1)
             place, speed = place + 0.5 * (speed + after) * dt, after
         px, py, ph = along(pose[0], pose[1], pose[2], curve, place)
         out[count, 0], out[count, 1], out[count, 2], out[count, 3] = px, py, ph, speed
@@ -155,7 +161,7 @@ def traverse(pose, curve, length, child, label, dt, latest, earliest, limits, wo
 
 
 @nb.njit(cache=True, error_model="numpy")
-def expand(edges, label, here, window, lengths, curves, final, away, road, dt, limits, out):
+def expand(edges, label, here, turned, window, lengths, curves, final, away, road, dt, limits, out):
     """Children of a label: its edges at all paces that can still reach the goal. Returns how many.
 
     A label stands for the ego at a step, at a place beyond the vertex where its edges begin. Where that vertex has
@@ -164,24 +170,24 @@ def expand(edges, label, here, window, lengths, curves, final, away, road, dt, l
     Args:
         edges: (first, last + 1) of the edges it may take.
         label: as of `traverse`.
-        here: way to the goal from where the label is, for the rank.
+        here: way to the goal from where the label is, for the rank; turned: the same for driving the other way from
+            there; negative for a vehicle that cannot, infinite where it may not.
         window: earliest and latest step of an arrival.
         final: (E,) whether an edge ends in a goal pose.
         away: (E,) lower bound of the distance from an edge's end to the goal; road: (E,) way there, for the rank.
-        out: (children, CHILD): edge (−1: none, it waits), steps, acceleration, rank (see `_rank`), place and speed
-            afterwards, whether the pose is pending then, the fastest of the last step.
+        out: (children, CHILD): edge (or WAITS, TURNS), steps, acceleration, rank (see `_rank`), place and speed
+            afterwards, whether the pose is pending then, the fastest of the last step, and after how many steps it
+            brakes evenly to a standstill at the end of the edge (0: it does not).
     """
     speed, place, step = label[3], label[4], int(label[5])
     earliest, latest = window
     count = 0
     if speed < 0.0:
-        return 0  # edges go forwards
+        return 0  # of a vehicle whose roadmap goes forwards
     if speed == 0.0 and step + _WAIT <= latest:
-        ride = least_time(here, 0.0, limits[ACCELERATION], limits[SPEED]) / dt
-        out[0, 0], out[0, 1], out[0, 2] = -1, _WAIT, 0.0
-        out[0, 3] = _rank(step + _WAIT, ride, here, 0.0, earliest, dt, limits)
-        out[0, 4], out[0, 5], out[0, 6], out[0, 7] = place, 0.0, 0.0, 0.0
-        count = 1
+        count = _stays(WAITS, _WAIT, place, step, here, earliest, dt, limits, count, out)
+    if speed == 0.0 and 0.0 <= turned < np.inf:
+        count = _stays(TURNS, 0, place, step, turned, earliest, dt, limits, count, out)
     for e in range(edges[0], edges[1]):
         if place >= lengths[e]:
             continue
@@ -208,11 +214,49 @@ def expand(edges, label, here, window, lengths, curves, final, away, road, dt, l
                 if fits and _bends(curves[e], speed, a, place, steps, dt, limits):
                     out[count, 0], out[count, 1], out[count, 2], out[count, 3] = e, steps, a, step + steps
                     out[count, 4], out[count, 5], out[count, 6], out[count, 7] = lengths[e], after, 0.0, 0.0
+                    out[count, 8] = 0.0
                     count += 1
                     tried += 1
                     if tried == ARRIVALS:
                         break
+        if turned >= 0.0:
+            steps, first, peak = _halt(speed, left, top, dt, limits)
+            if 0 < steps <= latest - step:
+                ride = least_time(road[e], 0.0, limits[ACCELERATION], limits[TOP]) / dt
+                out[count, 0], out[count, 1], out[count, 2] = e, steps, (peak - speed) / (first * dt)
+                out[count, 3] = _rank(step + steps, ride, road[e], 0.0, earliest, dt, limits)
+                out[count, 4], out[count, 5], out[count, 6], out[count, 7], out[count, 8] = 0.0, 0.0, 0.0, 0.0, first
+                count += 1
     return count
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _stays(kind, steps, place, step, way, earliest, dt, limits, count, out):
+    """Append a child that stands."""
+    ride = least_time(way, 0.0, limits[ACCELERATION], limits[TOP]) / dt
+    out[count, 0], out[count, 1], out[count, 2] = kind, steps, 0.0
+    out[count, 3] = _rank(step + steps, ride, way, 0.0, earliest, dt, limits)
+    out[count, 4], out[count, 5], out[count, 6], out[count, 7], out[count, 8] = place, 0.0, 0.0, 0.0, 0.0
+    return count + 1
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _halt(speed, left, top, dt, limits):
+    """The quickest way to a standstill after a distance: an even change of speed, and then even braking.
+
+    Returns (steps, steps of the first part, speed after it); 0 steps if there is none.
+    """
+    if speed > top:
+        return 0, 0, 0.0
+    for steps in range(2, _HALT + 1):
+        for first in range(1, steps):
+            # of ½ dt (first (speed + peak) + (steps − first) peak) = left
+            peak = (2.0 * left / dt - first * speed) / steps
+            gain = (peak - speed) / (first * dt)
+            fits = 0.0 < peak <= top and -limits[DECELERATION] <= gain <= limits[ACCELERATION]
+            if fits and peak <= limits[DECELERATION] * (steps - first) * dt:
+                return steps, first, peak
+    return 0, 0, 0.0
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -230,17 +274,17 @@ def _child(e, a, speed, place, step, curve, length, top, dt, window, limits, awa
             return count
     beyond = max(place - length, 0.0)
     distance = max(away - abs(place - length), 0.0)
-    ride = least_time(distance, speed, limits[ACCELERATION], limits[SPEED]) / dt
+    ride = least_time(distance, speed, limits[ACCELERATION], limits[TOP]) / dt
     # an edge that passes the goal's last step can still arrive on the way
     if step + steps < latest and step + steps + ride > latest + 1e-9:
         return count
     passed = place >= length
     out[count, 0], out[count, 1], out[count, 2] = e, steps, a
     left = max(road + length - place, 0.0)
-    ride = least_time(left, speed, limits[ACCELERATION], limits[SPEED]) / dt
+    ride = least_time(left, speed, limits[ACCELERATION], limits[TOP]) / dt
     out[count, 3] = _rank(step + steps, ride, left, speed, window[0], dt, limits)
     out[count, 4], out[count, 5] = beyond if passed else place, speed
-    out[count, 6], out[count, 7] = 1.0 if passed else 0.0, fastest
+    out[count, 6], out[count, 7], out[count, 8] = 1.0 if passed else 0.0, fastest, 0.0
     return count + 1
 
 

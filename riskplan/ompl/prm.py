@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import heapq
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -13,20 +13,19 @@ from ompl import base as ob
 
 from checkers import InputError
 from checkers.validate import Array
-from riskplan.kernels.roadmap import CHILD, CHILDREN, expand, traverse
+from riskplan.kernels.roadmap import CHILD, CHILDREN, TURNS, expand, traverse
 from riskplan.ompl.attached import AttachedEdges, free_goals
-from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler
+from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler, about
 from riskplan.ompl.validity import RiskMotionValidator
+from riskplan.ompl.waiting import Waiting
 from riskplan.search import Budget, Problem, SearchResult
 from riskplan.vehicles import curve_limits
 
 _SAME_SPEED = 1.0  # labels at one vertex and step compete within this [m/s]
-TOGETHER = 5  # arrivals within so many steps are alike
-_FAILURES = 0.3  # children of a label that fail put the others back by a step
 _UNCONNECTED = 500  # labels made on a roadmap that does not lead to the goal
+_SHARE = 20_000  # iterations on a roadmap until the goal is reached; twice as many on the next
 _KEPT = 4  # labels kept per vertex, step and speed
 _SAFER = 0.3  # without a bound: share of the least risk seen that is looked for next
-_LAST = 1e9  # rank of what is riskier, above all times
 _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
 
 
@@ -37,7 +36,8 @@ class Prm:
     OMPL's PRM samples the vertices; its undirected edges are not used. A label is a place on an edge at a grid step,
     with a speed and the accumulated risk per agent and mode; the acceleration is chosen anew where an edge ends, where
     the ego stands, and after 15 steps. One label replaces another at the same vertex, step and speed if no component of
-    its risk is higher. The roadmap is made larger while the search fails and time is left.
+    its risk is higher. The roadmap is made larger while the search fails, or after a share of iterations that doubles,
+    as long as time is left. A vehicle that reverses can stop at vertices too, and goes on from there either way.
 
     Attributes:
         size: vertices at first.
@@ -70,8 +70,12 @@ def search_roadmaps(
     problem, budget, seed = task
     rng = np.random.default_rng(seed)
     sampler: Sampler | None = None
-    if roadmap is not None and roadmap.radii.min() < 1.0 / curve_limits(problem.scenario.vehicle).curvature - 1e-9:
-        roadmap = Roadmap.of(problem.scenario, roadmap.vertices, budget.expired)  # made for a nimbler car
+    limits = curve_limits(problem.scenario.vehicle)
+    if roadmap is not None and (
+        roadmap.radii.min() < 1.0 / limits.curvature - 1e-9
+        or (limits.reverse > 0.0 and roadmap.forwards == len(roadmap.ends))
+    ):  # made for a nimbler car, or for one that does not reverse
+        roadmap = Roadmap.of(problem.scenario, roadmap.vertices, budget.expired)
     best: SearchResult | None = None
     counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
     lowest = np.inf
@@ -82,7 +86,10 @@ def search_roadmaps(
             roadmap = Roadmap.of(problem.scenario, sampler.grow(size, budget.expired), budget.expired)
             budget.iterations += size
         built = perf_counter() - began
-        result = run(Query(problem, budget, roadmap, rng))
+        query = Query(problem, budget, roadmap, rng)
+        query.patient = not counters["roadmaps"]  # it finds more, where there is the time
+        query.until = budget.iterations + (_SHARE << counters["roadmaps"])
+        result = run(query)
         lowest = min(lowest, result.lowest_seen)
         for key, value in result.counters.items():
             counters[key] = value if key in ("vertices", "edges") else counters[key] + value
@@ -103,7 +110,8 @@ class Label(NamedTuple):
 
     Attributes:
         pose: (3,) the last that is known: at this step, or the step before if `pending`.
-        vertex: where its edges begin; edge: the one it is on, or −1 for any of them.
+        vertex: where its edges begin, which tells whether they are driven backwards, at a negative speed.
+        edge: the one it is on, or −1 for any of them.
         place: beyond the vertex [m]; pending: whether the pose at this step lies on the edge that is chosen next.
         fastest: speed within the last step; poses: (S, 4) driven since the parent, x, y, heading, speed.
     """
@@ -122,15 +130,24 @@ class Label(NamedTuple):
     poses: Array
 
     @property
-    def row(self) -> Array:
-        """As the kernels read it."""
-        return np.array([*self.pose, self.speed, self.place, self.step, self.pending, self.fastest])
-
-    @property
     def key(self) -> tuple[int, int, int, int, int]:
-        """Labels with the same compete."""
-        place = int(self.place) if self.edge >= 0 else 0
+        """Labels with the same compete; one that stands at its vertex may turn."""
+        place = int(self.place) if self.edge >= 0 else -1 if self.speed == 0.0 and not self.pending else 0
         return self.vertex, self.edge, self.step, int(self.speed / _SAME_SPEED), place
+
+
+class _Way(NamedTuple):
+    """What the kernels read of driving one way, forwards or backwards: limits, and the goal as it looks from there."""
+
+    limits: Array
+    goal: tuple[np.ndarray, Array, Array, Array]
+
+
+def _about(goal: tuple[np.ndarray, Array, Array, Array]) -> tuple[np.ndarray, Array, Array, Array]:
+    """The goal of the same vehicle turned round that drives forwards."""
+    start, vertices, boxes, terms = goal
+    wanted, tolerance, slowest, fastest = terms.T
+    return start, vertices, boxes, np.column_stack([wanted + np.pi, tolerance, -fastest, -slowest])
 
 
 class Query:
@@ -139,74 +156,63 @@ class Query:
     def __init__(self, problem: Problem, budget: Budget, roadmap: Roadmap, rng: np.random.Generator) -> None:
         self.problem, self.budget = problem, budget
         self.validator = _motion_validator(problem)
-        self.limits = np.array(curve_limits(problem.scenario.vehicle))
+        limits = curve_limits(problem.scenario.vehicle)
+        top = max(limits.speed, limits.reverse)
+        self.ways = [_Way(np.array([*limits[:5], top]), problem.goal.arrays)]
+        if limits.reverse > 0.0:
+            backwards = limits._replace(speed=limits.reverse)
+            self.ways.append(_Way(np.array([*backwards[:5], top]), _about(problem.goal.arrays)))
         self.edges = AttachedEdges(problem, roadmap, free_goals(problem, rng, 48))
         self.out = np.empty((problem.goal.latest + 2, 4))
-        self.room = np.empty((10 * EDGES * CHILDREN + 1, CHILD))
+        self.room = np.empty((10 * EDGES * CHILDREN + 2, CHILD))
         # where no edges lead to the goal one may pass it on the way; more vertices are the better bet
         self.most = np.inf if self.edges.connected else _UNCONNECTED
         pose, speed, nothing = np.array(problem.start_state[:3]), problem.start_state[3], np.zeros((0, 4))
-        start = (pose, speed, 0, self.edges.source, -1, 0.0, False, speed)
+        source = self.edges.turned(self.edges.source) if speed < 0.0 else self.edges.source
+        start = (pose, speed, 0, source, -1, 0.0, False, abs(speed))
         self.labels = [Label(*start, problem.start_risk, problem.start_total, -1, nothing)]
         self.checked, self.lowest = 0, np.inf
+        self.patient = True  # see `Waiting`
+        self.until = np.inf  # so many iterations of the budget if nothing is found by then
+
+    def over(self, found: bool) -> bool:
+        """Whether to leave it at that, here or at all; counts an iteration."""
+        used_up = not found and self.budget.iterations >= self.until
+        return used_up or len(self.labels) >= self.most or self.budget.over()
 
     def run(self) -> SearchResult:
         """Best-first over lazily judged labels: a child is driven and charged when it is taken, not when it is made."""
         p, budget = self.problem, self.budget
         seen: dict[tuple[int, ...], list[Array]] = {}
-        heap: list[tuple[float, float, int, int, tuple[float, ...]]] = []
-        failed: dict[int, int] = {}
-        serial, best, aim = 0, -1, np.inf
-
-        def ranked(number: int, child: Sequence[float]) -> float:
-            total = self.labels[number].total
-            return child[3] // TOGETHER if total <= aim else _LAST + _decade(total)
-
-        def push(number: int) -> None:
-            nonlocal serial
-            label = self.labels[number]
-            for child in self.children(label):
-                serial += 1
-                after = min(label.step + child[1], p.goal.latest)
-                heapq.heappush(heap, (ranked(number, child), -after, serial, number, tuple(child)))
-
-        push(0)
-        while heap and len(self.labels) < self.most and not budget.over():
-            rank, tie, order, number, child = heapq.heappop(heap)
-            label = self.labels[number]
-            if label.total > budget.limit:
+        waiting, best = Waiting(self.labels, p.goal.latest, self.patient), -1
+        waiting.add(self.children(self.labels[0]))
+        while not self.over(best >= 0):
+            taken = waiting.take(budget.limit)
+            if taken is None:
+                break
+            driven = self.driven(*taken)
+            label = None if driven is None else self.charged(*driven)
+            if driven is None or label is None:
+                waiting.failed(taken[0])
                 continue
-            # deep first, but not where one way after the other fails
-            late = failed.get(number, 0) / _FAILURES - min(label.step + child[1], p.goal.latest)
-            if late > tie + 1.0:
-                heapq.heappush(heap, (rank, late, order, number, child))
-                continue
-            driven = self.driven(number, child)
-            judged = None if driven is None else self.charged(*driven)
-            if driven is None or judged is None:
-                failed[number] = failed.get(number, 0) + 1
-                continue
-            label, arrived = judged, driven[1]
+            arrived = driven[1]
             if not arrived and not _undominated(seen, label.key, p.evaluator.levels(label.risk)):
                 continue
             self.labels.append(label)
+            waiting.add([] if arrived else self.children(label))
             if arrived:
                 best = len(self.labels) - 1
                 if budget.found(label.total):
                     break
-                # without a bound: much safer ones next, as if they were the first, and then by risk
-                aim = _SAFER * label.total
-                heap = [(ranked(*each[3:]), *each[1:]) for each in heap]
-                heapq.heapify(heap)
+                # without a bound: much safer ones next
+                waiting.aim_at(_SAFER * label.total)
                 seen.clear()
-            else:
-                push(len(self.labels) - 1)
         return self.result(best)
 
     def result(self, best: int) -> SearchResult:
         """What was found: the way to the label of that number, −1 for none."""
         counters = {
-            "vertices": len(self.edges.poses),
+            "vertices": self.edges.count,
             "edges": len(self.edges.roadmap.ends),
             "labels": len(self.labels),
             "checked_steps": self.checked,
@@ -216,16 +222,31 @@ class Query:
     def children(self, label: Label) -> list[list[float]]:
         """Rows of `expand`."""
         goal = self.problem.goal
-        edges = self.edges.out_of(label.vertex)
+        edges, turned = self.edges.out_of(label.vertex), -1.0
+        if len(self.ways) > 1:
+            turns = label.edge < 0 and not label.pending
+            turned = self.edges.road[self.edges.turned(label.vertex)] if turns else np.inf
         chosen = (0, len(edges.lengths)) if label.edge < 0 else (label.edge, label.edge + 1)
         here = max(self.edges.road[label.vertex] - label.place, 0.0)
         graph = edges.lengths, edges.curves, edges.final, edges.away, edges.road
-        fixed = self.problem.scenario.time_step, self.limits, self.room
-        count = expand(chosen, label.row, here, (goal.earliest, goal.latest), *graph, *fixed)
+        fixed = self.problem.scenario.time_step, self.ways[self._way(label)].limits, self.room
+        count = expand(chosen, self.row(label), here, turned, (goal.earliest, goal.latest), *graph, *fixed)
         rows: list[list[float]] = self.room[:count].tolist()
         return rows
 
-    def driven(self, number: int, child: tuple[float, ...]) -> tuple[Label, bool] | None:
+    def _way(self, label: Label) -> int:
+        """Whether it is driven backwards."""
+        return int(label.vertex >= self.edges.count)
+
+    def row(self, label: Label) -> Array:
+        """The label as the kernels read it, to whom all driving is forwards."""
+        x, y, heading = label.pose
+        speed = label.speed
+        if self._way(label):
+            heading, speed = heading + math.pi, -speed
+        return np.array([x, y, heading, speed, label.place, label.step, label.pending, label.fastest])
+
+    def driven(self, number: int, child: Sequence[float]) -> tuple[Label, bool] | None:
         """The label at the end of a child, not charged, and whether it arrived; None if the world is in the way."""
         label, edge = self.labels[number], int(child[0])
         poses, arrived = self._waited(label, int(child[1])) if edge < 0 else self._traversed(label, child)
@@ -234,11 +255,12 @@ class Query:
             return None
         pose = poses[-1, :3] if len(poses) else label.pose
         vertex, place, pending = label.vertex, child[4], child[6] > 0.0
-        if pending:
+        speed = -child[5] if child[5] > 0.0 and self._way(label) else child[5]
+        if pending or child[8] > 0.0:
             vertex, edge = int(self.edges.out_of(vertex).ends[edge]), -1
         elif edge < 0:
-            edge = label.edge
-        after = (pose, child[5], step, vertex, edge, place, pending, child[7])
+            vertex, edge = self.edges.turned(vertex) if edge == TURNS else vertex, label.edge
+        after = (pose, speed, step, vertex, edge, place, pending, child[7])
         return Label(*after, label.risk, label.total, number, poses), arrived
 
     def charged(self, label: Label, arrived: bool) -> Label | None:
@@ -258,16 +280,29 @@ class Query:
             self.lowest = min(self.lowest, total)
         return label._replace(risk=risk, total=total) if total <= self.budget.limit else None
 
-    def _traversed(self, label: Label, child: tuple[float, ...]) -> tuple[Array | None, bool]:
-        p, edges, edge = self.problem, self.edges.out_of(label.vertex), int(child[0])
-        way = self.edges.poses[label.vertex], edges.curves[edge], edges.lengths[edge], np.array(child), label.row
-        grid = p.scenario.time_step, p.goal.latest, p.goal.earliest, self.limits
-        driven, arrived = traverse(*way, *grid, p.world.packed, p.goal.arrays, self.out)
-        return (None if driven < 0 else self.out[:driven].copy()), arrived
+    def _traversed(self, label: Label, child: Sequence[float]) -> tuple[Array | None, bool]:
+        p, edges, edge, way = self.problem, self.edges.out_of(label.vertex), int(child[0]), self._way(label)
+        along = (
+            self.edges.poses[label.vertex],
+            edges.curves[edge],
+            edges.lengths[edge],
+            np.array(child),
+            self.row(label),
+        )
+        grid = p.scenario.time_step, p.goal.latest, p.goal.earliest, self.ways[way].limits
+        driven, arrived = traverse(*along, *grid, p.world.packed, self.ways[way].goal, self.out)
+        if driven < 0:
+            return None, False
+        poses = self.out[:driven].copy()
+        if way:
+            poses[:, :3], poses[:, 3] = about(poses), 0.0 - poses[:, 3]
+        return poses, arrived
 
     def _waited(self, label: Label, steps: int) -> tuple[Array, bool]:
         goal = self.problem.goal
         poses = np.tile(np.append(label.pose, 0.0), (steps, 1))
+        if not steps:
+            return poses, False
         soonest = max(goal.earliest - label.step, 1)
         if soonest <= steps and goal.holds(*poses[0].tolist()):
             return poses[:soonest], True
@@ -311,8 +346,3 @@ def _undominated(seen: dict[tuple[int, ...], list[Array]], key: tuple[int, ...],
         return False
     others.append(risk)
     return True
-
-
-def _decade(total: float) -> float:
-    """Risk in coarse classes, so that within a class the search goes deep first."""
-    return float(np.floor(3.0 * np.log10(max(total, 1e-9))))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +33,11 @@ MOST, _MOST_RADII = 20_000, 16  # in a file: edges are made anew, which takes ti
 class Roadmap:
     """Poses and directed edges of a static world, biarcs or Dubins curves; agents do not enter: it serves them all.
 
+    For a vehicle that reverses there are edges that it drives backwards too: a curve ahead of the vertex turned round.
+
     Attributes:
         vertices: (V, 3) x, y, heading.
-        ends: (E, 2) int source and target of the edges.
+        ends: (E, 2) int source and target of the edges; v + V is vertex v driven through backwards.
         kinds: (E,) int, 0 for a biarc, k > 0 for a Dubins curve of radius k − 1.
         curves: (E, 6) segment lengths [m] and curvatures [1/m].
         lengths: (E,) [m].
@@ -60,11 +62,15 @@ class Roadmap:
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         parts = [(np.zeros((0, 2), np.int64), np.zeros(0, np.int64), np.zeros((0, 6)), np.zeros(0))]
         scale = radii, _shortest(longest), longest, EDGES, scenario.world.packed
-        for first in range(0, len(vertices), _BLOCK):
+        poses, size = (
+            [vertices, about(vertices)] if curve_limits(scenario.vehicle).reverse else [vertices],
+            len(vertices),
+        )
+        for way, first in product(range(len(poses)), range(0, size, _BLOCK)):
             if stop():
                 break
-            ends, *rest = connect(vertices[first : first + _BLOCK], vertices, *scale)
-            parts.append((ends + [first, 0], *rest))
+            ends, *rest = connect(poses[way][first : first + _BLOCK], poses[way], *scale)
+            parts.append((ends + [way * size + first, way * size], *rest))
         ends, kinds, curves, lengths = (np.concatenate(part) for part in zip(*parts, strict=True))
         return cls(vertices, ends, kinds, curves, lengths, radii, longest)
 
@@ -73,10 +79,10 @@ class Roadmap:
         """Shortest edge [m]."""
         return _shortest(self.longest)
 
-    @cached_property
-    def rows(self) -> np.ndarray:
-        """(V + 1,) where the edges out of each vertex begin: they are in its order."""
-        return np.searchsorted(self.ends[:, 0], np.arange(len(self.vertices) + 1))
+    @property
+    def forwards(self) -> int:
+        """How many edges are driven forwards; they are the first."""
+        return int(np.searchsorted(self.ends[:, 0], len(self.vertices)))
 
     @classmethod
     def build(cls, scenario: Scenario, size: int = 1000, seed: int = 0) -> Roadmap:
@@ -111,7 +117,7 @@ class Roadmap:
             if np.shape(vertices) != (0, 3):
                 vertices = as_array("vertices", vertices, ("V", 3), largest=FARTHEST)
             ends, kinds = _pairs(data["ends"], len(vertices)), _kinds(data["kinds"], len(data["ends"]), len(radii))
-            curves, lengths = rejoin(vertices, ends, kinds, radii)
+            curves, lengths = rejoin(np.concatenate([vertices, about(vertices)]), ends, kinds, radii)
             if not (lengths <= 2.0 * longest).all():
                 raise InputError("ends: expected pairs of vertices that a curve joins")
         except (InputError, TypeError) as error:
@@ -120,12 +126,14 @@ class Roadmap:
 
 
 def _pairs(ends: Any, count: int) -> np.ndarray:
-    """(E, 2) numbers of vertices, in order of the first."""
+    """(E, 2) numbers of vertices either way, in order of the first."""
     ends = np.asarray(ends)
-    if ends.ndim != 2 or ends.shape[1] != 2 or ends.dtype != np.int64 or len(ends) > MOST * EDGES:
+    if ends.ndim != 2 or ends.shape[1] != 2 or ends.dtype != np.int64 or len(ends) > 2 * MOST * EDGES:
         raise InputError(f"ends: expected (E, 2) int64, got {ends.shape} {ends.dtype}")
-    if len(ends) and (ends.min() < 0 or ends.max() >= count or (np.diff(ends[:, 0]) < 0).any()):
+    if len(ends) and (ends.min() < 0 or ends.max() >= 2 * count or (np.diff(ends[:, 0]) < 0).any()):
         raise InputError(f"ends: expected numbers of the {count} vertices, in order of the first")
+    if ((ends >= count).sum(axis=1) == 1).any():
+        raise InputError("ends: expected edges that are driven one way, forwards or backwards")
     return np.ascontiguousarray(ends)
 
 
@@ -212,3 +220,8 @@ def edge_scale(scenario: Scenario) -> tuple[Array, float]:
 def _shortest(longest: float) -> float:
     """Shortest edge [m]: for slow vehicles shorter ones."""
     return min(2.0, 0.2 * longest)
+
+
+def about(poses: Array) -> Array:
+    """(N, 3) the poses turned round: forwards from there is backwards."""
+    return np.column_stack([poses[:, :2], poses[:, 2] % (2.0 * np.pi) - np.pi])

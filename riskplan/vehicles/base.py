@@ -37,6 +37,7 @@ class CurveLimits(NamedTuple):
         curvature: of the arcs [1/m]; it may jump where they meet.
         speed: [m/s].
         lateral: largest speed² × curvature [m/s²].
+        reverse: speed backwards [m/s]; 0 for a vehicle that a roadmap drives forwards only.
     """
 
     acceleration: float
@@ -44,6 +45,7 @@ class CurveLimits(NamedTuple):
     curvature: float
     speed: float
     lateral: float
+    reverse: float = 0.0
 
 
 class Vehicle(ABC):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class ReedsSheppCar(Vehicle):
     """A car on arcs and straights, forwards and backwards (Reeds & Shepp 1990), with bounded acceleration.
 
-    It stands for an instant where it changes direction, at a time of the grid. A roadmap drives it forwards only.
+    It stands for an instant where it changes direction, at a time of the grid.
 
     Attributes:
         length, width: of the body [m].
@@ -65,19 +65,20 @@ class ReedsSheppCar(Vehicle):
 
     @property
     def curves(self) -> CurveLimits:
-        """Its limits forwards."""
+        """Its limits."""
         return CurveLimits(
             self.max_acceleration,
             self.max_deceleration,
             self.max_curvature,
             self.max_speed,
             self.max_lateral_acceleration,
+            self.max_reverse_speed,
         )
 
     @property
     def limits(self) -> Array:
         """(16,) what the kernel reads."""
-        return packed(*self.curves, self.max_reverse_speed)
+        return packed(*self.curves)
 
     def sweep(self, speed: float, duration: float) -> tuple[float, float, float]:
         """As of `Vehicle`: it turns at κ v with κ v² ≤ the lateral limit, so at most √(κ × that limit)."""
