@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import NamedTuple
@@ -17,15 +18,16 @@ from riskplan.kernels.roadmap import CHILD, CHILDREN, TURNS, expand, traverse
 from riskplan.ompl.attached import AttachedEdges, free_goals
 from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler, about
 from riskplan.ompl.validity import RiskMotionValidator
-from riskplan.ompl.waiting import Waiting
 from riskplan.search import Budget, Problem, SearchResult
 from riskplan.vehicles import curve_limits
 
 _SAME_SPEED = 1.0  # labels at one vertex and step compete within this [m/s]
+TOGETHER = 5  # arrivals within so many steps are alike
+_FAILURES = 0.3  # children of a label that fail put the others back by a step
 _UNCONNECTED = 500  # labels made on a roadmap that does not lead to the goal
-_SHARE = 20_000  # iterations on a roadmap until the goal is reached; twice as many on the next
 _KEPT = 4  # labels kept per vertex, step and speed
 _SAFER = 0.3  # without a bound: share of the least risk seen that is looked for next
+_LAST = 1e9  # rank of what is riskier, above all times
 _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
 
 
@@ -36,8 +38,8 @@ class Prm:
     OMPL's PRM samples the vertices; its undirected edges are not used. A label is a place on an edge at a grid step,
     with a speed and the accumulated risk per agent and mode; the acceleration is chosen anew where an edge ends, where
     the ego stands, and after 15 steps. One label replaces another at the same vertex, step and speed if no component of
-    its risk is higher. The roadmap is made larger while the search fails, or after a share of iterations that doubles,
-    as long as time is left. A vehicle that reverses can stop at vertices too, and goes on from there either way.
+    its risk is higher. The roadmap is made larger while the search fails and time is left. A vehicle that reverses can
+    stop at vertices too, and goes on from there either way.
 
     Attributes:
         size: vertices at first.
@@ -86,10 +88,7 @@ def search_roadmaps(
             roadmap = Roadmap.of(problem.scenario, sampler.grow(size, budget.expired), budget.expired)
             budget.iterations += size
         built = perf_counter() - began
-        query = Query(problem, budget, roadmap, rng)
-        query.patient = not counters["roadmaps"]  # it finds more, where there is the time
-        query.until = budget.iterations + (_SHARE << counters["roadmaps"])
-        result = run(query)
+        result = run(Query(problem, budget, roadmap, rng))
         lowest = min(lowest, result.lowest_seen)
         for key, value in result.counters.items():
             counters[key] = value if key in ("vertices", "edges") else counters[key] + value
@@ -172,41 +171,70 @@ class Query:
         start = (pose, speed, 0, source, -1, 0.0, False, abs(speed))
         self.labels = [Label(*start, problem.start_risk, problem.start_total, -1, nothing)]
         self.checked, self.lowest = 0, np.inf
-        self.patient = True  # see `Waiting`
-        self.until = np.inf  # so many iterations of the budget if nothing is found by then
-
-    def over(self, found: bool) -> bool:
-        """Whether to leave it at that, here or at all; counts an iteration."""
-        used_up = not found and self.budget.iterations >= self.until
-        return used_up or len(self.labels) >= self.most or self.budget.over()
 
     def run(self) -> SearchResult:
         """Best-first over lazily judged labels: a child is driven and charged when it is taken, not when it is made."""
         p, budget = self.problem, self.budget
         seen: dict[tuple[int, ...], list[Array]] = {}
-        waiting, best = Waiting(self.labels, p.goal.latest, self.patient), -1
-        waiting.add(self.children(self.labels[0]))
-        while not self.over(best >= 0):
-            taken = waiting.take(budget.limit)
-            if taken is None:
-                break
-            driven = self.driven(*taken)
-            label = None if driven is None else self.charged(*driven)
-            if driven is None or label is None:
-                waiting.failed(taken[0])
+        heap: list[tuple[float, float, int]] = []  # of labels, by the best of their children that are left
+        left: dict[int, list[tuple[float, float, int, list[float]]]] = {}  # these, the best last
+        failed: dict[int, int] = {}
+        best, aim = -1, np.inf
+
+        def ranked(number: int, children: Iterable[list[float]]) -> None:
+            label = self.labels[number]
+            rank = None if label.total <= aim else _LAST + _decade(label.total)
+            left[number] = sorted(
+                (
+                    (
+                        child[3] // TOGETHER if rank is None else rank,
+                        -min(label.step + child[1], p.goal.latest),
+                        order,
+                        child,
+                    )
+                    for order, child in enumerate(children)
+                ),
+                reverse=True,
+            )
+
+        def push(number: int) -> None:
+            if left[number]:
+                rank, tie, *_ = left[number][-1]
+                # deep first, but not where one way after the other fails
+                heapq.heappush(heap, (rank, tie + failed.get(number, 0) / _FAILURES, number))
+
+        ranked(0, self.children(self.labels[0]))
+        push(0)
+        while heap and len(self.labels) < self.most and not budget.over():
+            number = heapq.heappop(heap)[2]
+            if self.labels[number].total > budget.limit:
                 continue
-            arrived = driven[1]
+            child = left[number].pop()[3]
+            driven = self.driven(number, child)
+            judged = None if driven is None else self.charged(*driven)
+            if driven is None or judged is None:
+                failed[number] = failed.get(number, 0) + 1
+                push(number)
+                continue
+            push(number)
+            label, arrived = judged, driven[1]
             if not arrived and not _undominated(seen, label.key, p.evaluator.levels(label.risk)):
                 continue
             self.labels.append(label)
-            waiting.add([] if arrived else self.children(label))
             if arrived:
                 best = len(self.labels) - 1
                 if budget.found(label.total):
                     break
-                # without a bound: much safer ones next
-                waiting.aim_at(_SAFER * label.total)
+                # without a bound: much safer ones next, as if they were the first, and then by risk
+                aim = _SAFER * label.total
+                heap.clear()
+                for each, rows in left.items():
+                    ranked(each, [row[3] for row in sorted(rows, key=lambda row: row[2])])
+                    push(each)
                 seen.clear()
+            else:
+                ranked(len(self.labels) - 1, self.children(label))
+                push(len(self.labels) - 1)
         return self.result(best)
 
     def result(self, best: int) -> SearchResult:
@@ -346,3 +374,8 @@ def _undominated(seen: dict[tuple[int, ...], list[Array]], key: tuple[int, ...],
         return False
     others.append(risk)
     return True
+
+
+def _decade(total: float) -> float:
+    """Risk in coarse classes, so that within a class the search goes deep first."""
+    return float(np.floor(3.0 * np.log10(max(total, 1e-9))))

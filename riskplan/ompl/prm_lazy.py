@@ -5,9 +5,8 @@ from __future__ import annotations
 import heapq
 from dataclasses import dataclass, field
 
-from riskplan.ompl.prm import Query, check_options, search_roadmaps
+from riskplan.ompl.prm import TOGETHER, Query, check_options, search_roadmaps
 from riskplan.ompl.roadmap import Roadmap
-from riskplan.ompl.waiting import TOGETHER
 from riskplan.search import Budget, Problem, SearchResult
 
 _Entry = tuple[float, float, int, int, tuple[float, ...]]
@@ -52,7 +51,7 @@ class _Late:
         """Best-first as if there were no risk, and from the last label that holds on after each way that does not."""
         q, best = self.query, -1
         self._push(0)
-        while not q.over(best >= 0):
+        while len(q.labels) < q.most and not q.budget.over():
             if not self.heap:  # those kept out by labels that hold may have spent less
                 for each in list(self.kept_out):
                     self._let_pass(each)
