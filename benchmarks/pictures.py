@@ -17,7 +17,7 @@ from pathlib import Path
 from time import perf_counter, sleep
 
 import riskplan as rp
-from riskplan.pictures import browser
+from riskplan.doctor import find_browser
 
 # name, file, options, aim [s], largest size [MB]
 CASES: tuple[tuple[str, str, dict, float | None, float | None], ...] = (
@@ -45,12 +45,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         return
     scenario = rp.load_scenario(Path(rp.__file__).parent / "data" / "overtake.yaml")
     plan = rp.plan(scenario, planner="rrt", checker="exact", bound=0.01, time_limit=10.0, seed=0)
-    print(f"{plan.message}; {len(plan.times)} steps, {len(plan.search)} edges of the search; {browser.find()}\n")
+    print(f"{plan.message}; {len(plan.times)} steps, {len(plan.search)} edges of the search; {find_browser()}\n")
     print("| picture | file | best [s] | median [s] | CPU [s] | aim [s] | size [MB] | same bytes |")
     print("|---|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         for name, file, options, aim, largest in CASES:
-            if options.get("view") == "3d" and (args.no_3d or browser.find() is None):
+            if options.get("view") == "3d" and (args.no_3d or find_browser() is None):
                 continue
             seconds, own, contents = [], [], set()
             if not file.startswith(("film", "still")):

@@ -158,9 +158,10 @@ def test_completion_knows_commands_options_and_names(capsys, shell, tmp_path):
 
 @pytest.mark.parametrize("name", ["chromium-headless-shell", "google-chrome"])
 def test_doctor_and_pictures_find_the_same_browser(tmp_path, monkeypatch, capsys, name):
+    from riskplan.doctor import BROWSER_VARIABLE
     from riskplan.pictures import browser
 
-    monkeypatch.delenv(browser.ENVIRONMENT, raising=False)
+    monkeypatch.delenv(BROWSER_VARIABLE, raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
     (tmp_path / name).touch(0o755)
     (found,) = [c["found"] for c in json.loads(said(capsys, "doctor", "--json")[1])["checks"] if c["name"] == "browser"]

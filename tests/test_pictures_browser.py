@@ -19,13 +19,14 @@ from PIL import Image
 from checkers import InputError
 from riskplan.cli import main
 from riskplan.demo_scene import DATA as SHIPPED
+from riskplan.doctor import BROWSER_VARIABLE, find_browser
 from riskplan.outputs import write_results
 from riskplan.pictures import browser, draw, film, overlay, palette, render
 from riskplan.pictures.camera import follow, project
 from riskplan.pictures.picture import picture
 from tests.pictured import STEPS, TIMES, overtake, overtaking_plan
 
-needs_browser = pytest.mark.skipif(browser.find() is None, reason="no Chromium found")
+needs_browser = pytest.mark.skipif(find_browser() is None, reason="no Chromium found")
 SMALL = (320, 200)
 
 
@@ -271,7 +272,7 @@ def test_mp4_in_3d(scenario, plan, tmp_path):
 
 @pytest.fixture
 def no_browser(monkeypatch, tmp_path):
-    monkeypatch.delenv(browser.ENVIRONMENT, raising=False)
+    monkeypatch.delenv(BROWSER_VARIABLE, raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
 
 
@@ -315,7 +316,7 @@ def test_results_of_planning_are_the_same_with_and_without_a_browser(scenario, p
 
 
 def test_a_browser_named_wrongly_is_named(scenario, plan, tmp_path, monkeypatch):
-    monkeypatch.setenv(browser.ENVIRONMENT, "/nowhere/chromium")
+    monkeypatch.setenv(BROWSER_VARIABLE, "/nowhere/chromium")
     with pytest.raises(InputError, match="RISKPLAN_CHROMIUM: no program at '/nowhere/chromium'"):
         render(scenario, plan, tmp_path / "a.png", view="3d")
 
@@ -324,7 +325,7 @@ def fake_browser(monkeypatch, tmp_path, script):
     program = tmp_path / "fake"
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(0o755)
-    monkeypatch.setenv(browser.ENVIRONMENT, str(program))
+    monkeypatch.setenv(BROWSER_VARIABLE, str(program))
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 import riskplan as rp
+from riskplan.doctor import find_browser
 from riskplan.pictures import browser, film, page, palette, scene3d, top
 from riskplan.pictures.agent_view import Detail
 from riskplan.pictures.encode import png
@@ -173,7 +174,7 @@ def pages():
     return {name: (report.get(str(i)), origins[name]) for i, name in enumerate(BROWSED)}
 
 
-@pytest.mark.skipif(browser.find() is None, reason="no Chromium found")
+@pytest.mark.skipif(find_browser() is None, reason="no Chromium found")
 @pytest.mark.parametrize("name", BROWSED)
 def test_the_page_works_in_a_browser(pages, name):
     report, pic = pages[name]
@@ -185,7 +186,7 @@ def test_the_page_works_in_a_browser(pages, name):
     assert report["readout"].startswith("t = 4.0 s")
 
 
-@pytest.mark.skipif(browser.find() is None, reason="no Chromium found")
+@pytest.mark.skipif(find_browser() is None, reason="no Chromium found")
 def test_a_3d_still_of_centimetres_shows_the_robot():
     scene, far = ODD["centimetres"]()
     image = film.still(picture(scene, way(scene, far)), (320, 200), 20)[..., :3].astype(float)

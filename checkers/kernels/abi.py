@@ -45,8 +45,13 @@ def kernel(function: Callable[..., float]) -> Kernel:
     Under numpy's error model a division by zero gives NaN, which callers refuse; an exception would be swallowed at the
     C boundary and read as the value 0.
     """
-    in_a_file = not function.__code__.co_filename.startswith("<")  # typed at a prompt there is nowhere to keep it
-    compiled = nb.cfunc(SIGNATURE, cache=in_a_file, error_model="numpy")(function)
+    return c_function(SIGNATURE, function)
+
+
+def c_function(signature: object, function: Callable[..., object]) -> Kernel:
+    """Compile to a plain C function of that signature, kept on disk unless it was typed at a prompt."""
+    in_a_file = not function.__code__.co_filename.startswith("<")
+    compiled = nb.cfunc(signature, cache=in_a_file, error_model="numpy")(function)
     return Kernel(compiled, int(compiled.address))
 
 

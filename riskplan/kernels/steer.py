@@ -13,12 +13,13 @@ It travels as an address, as the kernels of the checkers do (`checkers.kernels.a
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numba as nb
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
+
+from checkers.kernels.abi import Kernel, c_function
 
 STATE, NODE, LIMITS = 5, 6, 16
 _DOUBLES = types.CPointer(types.float64)
@@ -34,18 +35,9 @@ SIGNATURE = types.int64(
 )
 
 
-class Kernel(NamedTuple):
-    """A compiled function, kept alive by whoever holds it, and its address."""
-
-    function: object
-    address: int
-
-
 def steer_kernel(function: Callable[..., int]) -> Kernel:
     """Compile a vehicle's function to the common signature; `.address` is what loops take."""
-    in_a_file = not function.__code__.co_filename.startswith("<")  # typed at a prompt there is nowhere to keep it
-    compiled = nb.cfunc(SIGNATURE, cache=in_a_file, error_model="numpy")(function)
-    return Kernel(compiled, int(compiled.address))
+    return c_function(SIGNATURE, function)
 
 
 @nb.njit(inline="always", error_model="numpy")

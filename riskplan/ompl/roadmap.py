@@ -62,10 +62,9 @@ class Roadmap:
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         parts = [(np.zeros((0, 2), np.int64), np.zeros(0, np.int64), np.zeros((0, 6)), np.zeros(0))]
         scale = radii, _shortest(longest), longest, EDGES, scenario.world.packed
-        poses, size = (
-            [vertices, about(vertices)] if curve_limits(scenario.vehicle).reverse else [vertices],
-            len(vertices),
-        )
+        size, poses = len(vertices), [vertices]
+        if curve_limits(scenario.vehicle).reverse:
+            poses.append(about(vertices))
         for way, first in product(range(len(poses)), range(0, size, _BLOCK)):
             if stop():
                 break

@@ -136,12 +136,13 @@ def _solid(view: str, suffix: str) -> bool:
         if view == "top":
             raise InputError("view: .html is drawn in 3-D only; for a top view ask for .png, .gif or .mp4")
         return True
+    from riskplan.doctor import BROWSER_VARIABLE, find_browser
     from riskplan.pictures import browser
 
-    if view == "auto" and browser.find() is None:
+    if view == "auto" and find_browser() is None:
         warnings.warn(
             "no Chromium found: drawing the top view instead of 3-D (view='top' asks for it; "
-            f"{browser.ENVIRONMENT} names a browser)",
+            f"{BROWSER_VARIABLE} names a browser)",
             stacklevel=3,
         )
         return False

@@ -15,8 +15,6 @@ from pathlib import Path
 from checkers import InputError
 from riskplan.doctor import BROWSER_VARIABLE, find_browser
 
-ENVIRONMENT = BROWSER_VARIABLE
-find = find_browser
 FLAGS = (
     "--headless",
     "--use-angle=swiftshader",  # software: the same pixels everywhere, and no graphics card needed
@@ -33,20 +31,20 @@ FLAGS = (
 
 
 def need() -> str:
-    """The same.
+    """What `find_browser` finds.
 
     Raises:
         InputError: saying what to install.
     """
-    found = find()
+    found = find_browser()
     if found is not None:
         return found
-    wanted = os.environ.get(ENVIRONMENT)
+    wanted = os.environ.get(BROWSER_VARIABLE)
     if wanted:
-        raise InputError(f"{ENVIRONMENT}: no program at {wanted!r}")
+        raise InputError(f"{BROWSER_VARIABLE}: no program at {wanted!r}")
     raise InputError(
         "a 3-D picture needs Chromium: install chromium-headless-shell, chromium or google-chrome, or name one in "
-        f"{ENVIRONMENT}; view='top' and .html need none"
+        f"{BROWSER_VARIABLE}; view='top' and .html need none"
     )
 
 

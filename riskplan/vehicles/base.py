@@ -12,7 +12,7 @@ from checkers import EgoCover, EgoShape, InputError
 from checkers.validate import FARTHEST, LARGEST_BODY, Array, as_scalar
 
 if TYPE_CHECKING:
-    from riskplan.kernels.steer import Kernel
+    from checkers.kernels.abi import Kernel
 
 
 class Metric(NamedTuple):

@@ -11,7 +11,7 @@ from checkers.validate import Array
 from riskplan.vehicles.base import Metric, Vehicle, check_positive, packed
 
 if TYPE_CHECKING:
-    from riskplan.kernels.steer import Kernel
+    from checkers.kernels.abi import Kernel
 
 GRAVITY = 9.80665
 

@@ -10,7 +10,7 @@ from checkers.validate import Array
 from riskplan.vehicles.base import CurveLimits, Metric, Vehicle, check_positive, packed
 
 if TYPE_CHECKING:
-    from riskplan.kernels.steer import Kernel
+    from checkers.kernels.abi import Kernel
 
 
 @dataclass(frozen=True)
