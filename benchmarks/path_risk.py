@@ -97,7 +97,7 @@ def main() -> None:
     parser.add_argument("--paths", type=int, default=200)
     parser.add_argument("--samples", type=int, default=10_000)
     parser.add_argument("--rest", default="0.02,0.1,0.5", help="shares; empty: none")
-    parser.add_argument("--rest-paths", type=int, default=20)
+    parser.add_argument("--rest-paths", type=int, default=8, help="of the second table")
     args = parser.parse_args()
     poses, agent = scene(args.paths)
     ellipse = EgoEllipsoid.around(*SIZE, *SIZE, 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -178,3 +178,28 @@ def test_the_edge_itself_is_no_jump():
     for z in ((x, 0.0), (0.0, -y), (x, y), (-x, y)):
         inside = mass(octagon, rows, arcs, z[0] * (1 - 1e-13), z[1] * (1 - 1e-13), 38.0, FINE)
         assert mass(octagon, rows, arcs, *z, 38.0, FINE) == pytest.approx(inside, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["box", "cover", "ellipse"])
+@pytest.mark.parametrize("rank", [1, 2, 3])
+def test_a_rest_along_a_line_only(name, rank):
+    """Made white its sets are 1e9 times as long as wide."""
+    poses, plain = scene(np.random.default_rng(8), 6, 3.0)
+    ego, n = SHAPES[name], 100_000
+    factors = np.concatenate([plain.factors[:, 0], np.full((6, 2, 1), 0.3)], axis=-1)[..., :rank]
+    line = spin(0.4)[:, :1]
+    covariances = factors @ np.swapaxes(factors, -1, -2) + 0.5 * line @ line.T
+    pred = replace(plain, covariances=covariances[:, None], factors=factors[:, None])
+    risk = path_risk(poses, [pred], ego, tolerance=1e-4)
+    xy = pred.sample(n, np.random.default_rng(2)) - poses[:, :2]
+    hit = np.zeros(n, dtype=bool)
+    for t, pose in enumerate(poses):
+        if ego is BOX:
+            hits = sampled_hits(xy[:, t : t + 1] + pose[:2], pose[None], pred.headings[t], (*EGO, *AGENT), None)
+            hit |= hits >= 0
+            continue
+        seen = xy[:, t] @ spin(pose[2])
+        for q, o in zip(*ego.pieces(pred)[::-1], strict=True):
+            hit |= np.einsum("ni,ij,nj->n", seen - o, q, seen - o) <= 1.0
+    value = float(risk.total)
+    assert abs(value - hit.mean()) <= float(risk.error) + 4 * np.sqrt(max(value * (1 - value), 1 / n) / n)

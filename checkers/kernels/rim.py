@@ -20,6 +20,7 @@ PIECE = 12
 _FAR = 2.5  # beyond, e^(−q/2)/q is as smooth as g
 FINE, ROUGH = 2.0, 3.5  # longest panel: 8 nodes leave 4e-12 or 5e-8
 _BEND = 0.7  # rad of an ellipse in one panel
+_DEPTH = 128  # of halvings
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
@@ -150,22 +151,34 @@ def _arc(rows, arc, z1, z2, reach, panel, far):
 
 @nb.njit(cache=True, error_model="numpy")
 def _panels(row, y1, y2, low, high, inside, reach, panel, far):
-    """The same from one angle to another; y: from the piece's centre to z, which may be inside the piece."""
+    """The same from one angle to another; y: from the piece's centre to z, which may be inside the piece.
+
+    Halved until a part is out of reach or short, by its own speed: an ellipse may be 1e9 times as long as wide.
+    """
     i11, i12, i21, i22 = row[7], row[8], row[9], row[10]
     sign = 1.0 if i11 * i22 - i12 * i21 > 0.0 else -1.0
-    count = max(math.ceil(row[11] * (high - low) / panel), math.ceil((high - low) / _BEND))
-    half = 0.5 * (high - low) / count
-    along, total = row[11] * half, 0.0
-    turns = np.empty((8, 2))
-    for k in range(8):
-        turns[k, 0], turns[k, 1] = math.cos(half * _NODES[k]), math.sin(half * _NODES[k])
-    c0, s0 = math.cos(half), math.sin(half)
-    for p in range(count):
-        middle = low + (2 * p + 1) * half
+    total, known, top = 0.0, -1.0, 1
+    turns, stack = np.empty((8, 2)), np.empty((_DEPTH, 2))
+    stack[0, 0], stack[0, 1] = low, high
+    c0 = s0 = 0.0
+    while top > 0:
+        top -= 1
+        middle, half = 0.5 * (stack[top, 0] + stack[top, 1]), 0.5 * (stack[top, 1] - stack[top, 0])
         c, s = math.cos(middle), math.sin(middle)
         x1, x2 = i11 * c + i12 * s - y1, i21 * c + i22 * s - y2
+        d1, d2 = i12 * c - i11 * s, i22 * c - i21 * s
+        along = half * (math.sqrt(d1 * d1 + d2 * d2) + row[11] * half)
         if x1 * x1 + x2 * x2 >= (reach + along) ** 2:
             continue
+        if (2.0 * along > panel or 2.0 * half > _BEND) and top + 2 <= _DEPTH:
+            stack[top + 1, 0], stack[top + 1, 1] = middle, stack[top, 1]
+            stack[top, 1] = middle
+            top += 2
+            continue
+        if abs(half - known) > 1e-12 * half:
+            known, c0, s0 = half, math.cos(half), math.sin(half)
+            for k in range(8):
+                turns[k, 0], turns[k, 1] = math.cos(half * _NODES[k]), math.sin(half * _NODES[k])
         part = 0.0
         for k in range(8):
             ck, sk = c * turns[k, 0] - s * turns[k, 1], s * turns[k, 0] + c * turns[k, 1]
