@@ -34,24 +34,30 @@ def over_factors(
         tolerance: of the sum, relative.
         seed: of the scrambling.
     """
-    means, factors, rest, headings = inputs
     largest = _largest_step(shape_kind, shape, poses, inputs)
     if largest < _LEAST:
         return np.zeros(len(poses)), len(poses) * _LEAST, Kind.EXACT
+    sets = moving_sets(shape_kind, shape, poses, inputs)
+    # the risk is at least that of the likeliest step: what is left out and what is rounded is small against it
+    left_out = 0.01 * tolerance * largest
+    reach = float(np.sqrt(-2.0 * np.log(left_out / (100.0 * len(poses)))))
+    found = _cells(sets, reach, tolerance) if inputs[1].shape[-1] <= 2 else None
+    if found is None:
+        return _sobol(sets, reach, seed)
+    return found[0], found[1] + left_out, Kind.EXACT
+
+
+def moving_sets(
+    shape_kind: int, shape: Array, poses: Array, inputs: tuple[Array, ...]
+) -> tuple[bool, Array, Array, Array]:
+    """(octagon, rows, arcs, moves): the sets in the plane of the white rest, see `kernels.rim` and `kernels.given`."""
+    means, factors, rest, headings = inputs
     roots = _roots(shape_kind, shape, poses, means, rest)
     octagon = shape_kind == BOXES
     rows = np.empty((len(poses), 8, EDGE) if octagon else (len(poses), len(shape), PIECE))
     fill_sets(shape_kind, shape, poses, means, roots, headings, rows)
     arcs = np.array([[0.0, 0.0, 2.0 * np.pi]]) if octagon or shape_kind == ALIGNED else exposed_arcs(shape)
-    moves = np.ascontiguousarray(np.linalg.solve(roots, factors))
-    # the risk is at least that of the likeliest step: what is left out and what is rounded is small against it
-    left_out = 0.01 * tolerance * largest
-    reach = float(np.sqrt(-2.0 * np.log(left_out / (100.0 * len(poses)))))
-    sets = (octagon, rows, arcs, moves)
-    found = _cells(sets, reach, tolerance) if factors.shape[-1] <= 2 else None
-    if found is None:
-        return _sobol(sets, reach, seed)
-    return found[0], found[1] + left_out, Kind.EXACT
+    return octagon, rows, arcs, np.ascontiguousarray(np.linalg.solve(roots, factors))
 
 
 def _largest_step(shape_kind: int, shape: Array, poses: Array, inputs: tuple[Array, ...]) -> float:

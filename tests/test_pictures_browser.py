@@ -310,7 +310,8 @@ def test_results_of_planning_are_the_same_with_and_without_a_browser(scenario, p
     def refuse(*_args, **_kwargs):
         raise AssertionError("no browser is looked for")
 
-    monkeypatch.setattr(browser, "find", refuse)
+    monkeypatch.setattr("riskplan.doctor.find_browser", refuse)
+    monkeypatch.setattr(browser, "find_browser", refuse)
     write_results(tmp_path / "out", scenario, plan, None)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"plan.json", "scene.html", "scene.png"}
 

@@ -8,8 +8,10 @@ from builders import row
 from scipy.special import ndtr
 
 from checkers import EgoEllipsoid, checker
+from checkers.cubature import moving_sets
 from checkers.kernels.given import first_hits
 from checkers.kernels.path import ALIGNED, BOXES, FIXED, sweep_paths
+from checkers.kernels.rim import FINE
 
 _SHAPES = {
     FIXED: np.array([[0.0, 0.0, 0.5, 0.1, 0.9]]),
@@ -66,25 +68,30 @@ def test_boxes_whose_factors_shear_are_seen():
     assert seen > 100
 
 
+def hit_at_zero(kind, shape, poses, inputs):
+    """P(hit | ξ = 0) of one step."""
+    out = np.empty((1, 1))
+    first_hits(*moving_sets(kind, shape, poses, inputs), np.zeros((1, 1)), 9.0, FINE, out)
+    return out[0, 0]
+
+
 def test_strips_that_rounding_makes_thin_sets_are_told_from_those_that_miss():
     # the first piece is beside the line of the error; the second is on it
     rng = np.random.default_rng(3)
     for angle in rng.uniform(0, 7, 500):
         root = turn(angle) @ np.diag([2.0, 0.0]) @ turn(rng.uniform(0, 7))
-        out = np.empty((1, 1))
         away = turn(angle) @ np.array([0.0, 8.0])
         pieces = np.array([[away[0], away[1], 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 1.0]])
         pose, mean, factor = np.zeros((1, 3)), turn(angle) @ np.array([3.0, 0.0]), np.zeros((1, 2, 1))
-        first_hits(FIXED, pieces, pose, mean[None], factor, root[None], np.zeros(1), np.zeros((1, 1)), 1e-8, out)
-        assert out[0, 0] == pytest.approx(ndtr(-1.0) - ndtr(-2.0), rel=1e-6)
+        hit = hit_at_zero(FIXED, pieces, pose, (mean[None], factor, (root @ root.T)[None], np.zeros(1)))
+        assert hit == pytest.approx(ndtr(-1.0) - ndtr(-2.0), rel=1e-6)
 
 
 @pytest.mark.parametrize(("x", "expected"), [(0.0, 1.0), (9.0, 0.0)])
 def test_a_box_without_rest_is_hit_or_missed(x, expected):
-    out, zero = np.empty((1, 1)), np.zeros((1, 2, 2))
-    means, nodes = np.array([[x, 0.0]]), np.zeros((1, 1))
-    first_hits(BOXES, _SHAPES[BOXES], np.zeros((1, 3)), means, zero[..., :1], zero, np.zeros(1), nodes, 1e-8, out)
-    assert out[0, 0] == expected
+    zero = np.zeros((1, 2, 2))
+    inputs = np.array([[x, 0.0]]), zero[..., :1], zero, np.zeros(1)
+    assert hit_at_zero(BOXES, _SHAPES[BOXES], np.zeros((1, 3)), inputs) == expected
 
 
 def test_both_far_ends_of_a_long_set_around_the_origin_are_seen():
