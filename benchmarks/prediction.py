@@ -43,6 +43,7 @@ NETWORKS = {
     "LSTM normalised + ego": replace(_NORMALISED, ego_future=True),
     "LSTM normalised + ego + map": replace(_NORMALISED, ego_future=True, lanes=True),
     "LSTM normalised, persistent head": _OURS,
+    "LSTM normalised, persistent head + ego": replace(_OURS, ego_future=True),
     "LSTM normalised, persistent head + map": replace(_OURS, lanes=True),
     "MLP normalised, persistent head": replace(_OURS, architecture="mlp"),
 }

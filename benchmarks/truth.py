@@ -8,6 +8,8 @@ them (true rectangles at every step, as long as an agent was recorded):
 - paths of the planner's tree grown without other agents;
 - plans returned at a bound.
 
+Networks that read the ego's future are told the path that is judged: what they state is conditional on it.
+
 Paths of one file meet the same traffic, so intervals of observed shares count clusters of files: Clopper & Pearson
 (1934) with the number of paths divided by the design effect of the ratio estimator (Kish 1965).
 """
@@ -38,7 +40,7 @@ from predictor import ConstantVelocity, Manoeuvres
 from predictor.constant_velocity import Spread
 from predictor.lanes import Lane
 from predictor.tracks import SLACK, Track
-from riskplan.io.commonroad import HorizonTask, load_commonroad
+from riskplan.io.commonroad import CommonRoadScene, HorizonTask, load_commonroad
 
 DEPENDENCE = ("boole", "independent", "persistent")
 PLAIN, SPREAD, MODES = "one spread for all", "spread of the situation", "manoeuvres"
@@ -56,6 +58,7 @@ PLANNED = (STEPS[0], STEPS[3], STEPS[4])
 SHAPES = ("ellipse", "six discs", "rectangles")
 KEYS = [(p, s, d) for p in (PLAIN, SPREAD, MODES) for s in SHAPES for d in DEPENDENCE]
 Stated = dict[tuple[str, str, str], list[Array]]
+Agents = tuple[rp.GaussianMixturePrediction, ...]
 T = TypeVar("T")
 BINS = np.array([0.0, 1e-3, 0.01, 0.03, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
 BOUNDS = (0.1, 0.01)
@@ -74,14 +77,15 @@ class Drive:
     Attributes:
         cluster: name of the file.
         tasks: by predictor.
-        agents: by predictor, each agent as far as it was recorded, errors persistent.
+        agents: by predictor, one set for all paths or one for each; each agent as far as it was recorded, errors
+            persistent.
         paths: (B, T, 3); the first is the driver's.
         hits: (B,) whether the path met a recorded rectangle.
     """
 
     cluster: str
     tasks: dict[str, HorizonTask]
-    agents: dict[str, tuple[rp.GaussianMixturePrediction, ...]]
+    agents: dict[str, tuple[Agents, ...]]
     paths: Array
     hits: np.ndarray
 
@@ -93,9 +97,20 @@ class Drive:
 
 @dataclass(frozen=True)
 class Learned:
-    """A network for agents of which it knows enough past; the shipped manoeuvres for the others."""
+    """A network for agents of which it knows enough past; the shipped manoeuvres for the others.
+
+    Attributes:
+        network: of positions.
+        ego: (T, 3) path that it is told, its start included; None: it is told nothing.
+    """
 
     network: rp.LearnedPredictor
+    ego: Array | None = None
+
+    @property
+    def conditional(self) -> bool:
+        """Whether it asks what the ego will do."""
+        return self.network.model.config.ego_future
 
     def predict(
         self, past: Track, times: Array, lanes: Sequence[Lane] = (), others: Sequence[Track] = ()
@@ -104,7 +119,9 @@ class Learned:
         config = self.network.model.config
         if past.times[-1] - past.times[0] < (config.observed - 1) * config.dt - SLACK:
             return Manoeuvres.fitted().predict(past, times, lanes, others)
-        return cast("rp.GaussianMixturePrediction", self.network.predict([past], lanes=lanes, times=times)[0])
+        course = None if self.ego is None else self.ego[1 : config.predicted + 1, :2]
+        found = self.network.predict([past], lanes=lanes, times=times, ego_future=course)
+        return cast("rp.GaussianMixturePrediction", found[0])
 
 
 @dataclass(frozen=True)
@@ -153,7 +170,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"benchmarks.truth: no drives in {len(chosen)} files", file=sys.stderr)
         return 2
     stated: Stated = {key: [r for _, risks, _ in done for r in risks[key]] for key in done[0][1]}
-    agents = np.median([len(d.agents[MODES]) for d in drives])
+    agents = np.median([len(d.agents[MODES][0]) for d in drives])
     print(
         f"{len(drives)} drives of 3 s in {len({d.cluster for d in drives})} files, "
         f"median {agents:.0f} agents within {args.reach:g} m"
@@ -221,7 +238,8 @@ def drives_of(path: Path, args: argparse.Namespace) -> list[Drive]:
     for i in range(args.drives):
         seed = zlib.crc32(path.name.encode()) + args.seed + i
         tasks: dict[str, HorizonTask] = {}
-        for name, predictor in predictors(args.weights).items():
+        known = predictors(args.weights)
+        for name, predictor in known.items():
             one = scene.horizon_task(np.random.default_rng(seed), predictor=predictor)
             if one is not None:
                 tasks[name] = one
@@ -232,8 +250,14 @@ def drives_of(path: Path, args: argparse.Namespace) -> list[Drive]:
             continue
         own = np.column_stack([task.driver.positions, task.driver.headings])
         paths = np.stack([own, *tree_paths(task, args.paths, seed % 2**31, len(own))])
-        agents = {name: seen(one, paths, args.reach) for name, one in tasks.items()}
-        if agents[MODES]:
+        agents: dict[str, tuple[Agents, ...]] = {}
+        for name, one in tasks.items():
+            predictor = known[name]
+            if isinstance(predictor, Learned) and predictor.conditional:
+                agents[name] = tuple(told(scene, predictor, path, seed, args.reach) for path in paths)
+            else:
+                agents[name] = (seen(one, paths, args.reach),)
+        if agents[MODES][0]:
             hits = np.array([collided(p, task) for p in paths])
             found[task.driver.name, task.t0] = Drive(path.stem, tasks, agents, paths, hits)
     return list(found.values())
@@ -246,7 +270,14 @@ def tree_paths(task: HorizonTask, count: int, seed: int, steps: int) -> list[Arr
     return [p.poses for p in plans if p.solved and len(p.poses) == steps]
 
 
-def seen(task: HorizonTask, paths: Array, reach: float) -> tuple[rp.GaussianMixturePrediction, ...]:
+def told(scene: CommonRoadScene, predictor: Learned, path: Array, seed: int, reach: float) -> Agents:
+    """As `seen`, by a network that knows that the ego will drive this path (T, 3)."""
+    task = scene.horizon_task(np.random.default_rng(seed), predictor=replace(predictor, ego=path))
+    assert task is not None  # noqa: S101  it was one for the others
+    return seen(task, path[None], reach)
+
+
+def seen(task: HorizonTask, paths: Array, reach: float) -> Agents:
     """The agents that some mean brings near some path, cut to the steps at which they were recorded."""
     out = []
     for agent, other in zip(mixtures(task.scenario), task.others, strict=True):
@@ -266,7 +297,7 @@ def mixtures(scenario: rp.Scenario) -> list[rp.GaussianMixturePrediction]:
 def shapes(drive: Drive) -> dict[str, EgoShape]:
     """From the paper's ellipse to the true rectangles."""
     car = drive.task.scenario.vehicle
-    agents = drive.agents[MODES]
+    (agents,) = drive.agents[MODES]
     longest = max(a.length or 0.0 for a in agents), max(a.width or 0.0 for a in agents)
     return {
         SHAPES[0]: rp.EgoEllipsoid.around(car.length, car.width, *longest),
@@ -278,13 +309,20 @@ def shapes(drive: Drive) -> dict[str, EgoShape]:
 def stated_risks(drive: Drive, predictor: str, shape: str, dependence: str, *, whole: bool) -> Array:
     """(B,) total over the agents, capped at 1; of the driver's own path only, if not `whole`."""
     paths = drive.paths if whole else drive.paths[:1]
+    ego, sets = shapes(drive)[shape], drive.agents[predictor]
+    if len(sets) == 1:
+        return total_risk(paths, sets[0], ego, dependence)
+    return np.concatenate([total_risk(p[None], a, ego, dependence) for p, a in zip(paths, sets, strict=False)])
+
+
+def total_risk(paths: Array, agents: Agents, ego: EgoShape, dependence: str) -> Array:
+    """(B,) of paths (B, T, 3), over agents each as long as it was recorded, capped at 1."""
     total = np.zeros(len(paths))
-    ego = shapes(drive)[shape]
     by_length: dict[int, list[rp.GaussianMixturePrediction]] = {}
-    for agent in drive.agents[predictor]:
+    for agent in agents:
         by_length.setdefault(len(agent.times), []).append(agent)
-    for count, agents in by_length.items():
-        total += rp.path_risk(paths[:, :count], agents, ego, dependence, tolerance=TOLERANCE).total
+    for count, alike in by_length.items():
+        total += rp.path_risk(paths[:, :count], alike, ego, dependence, tolerance=TOLERANCE).total
     return np.minimum(total, 1.0)
 
 

@@ -114,6 +114,19 @@ def waiting(_):
     time.sleep(60)
 
 
+class Compiled:
+    """Slow where it is called first, as kernels are."""
+
+    ready = False
+
+    def __call__(self, _):
+        end = time.process_time() + 0.3
+        while not self.ready and time.process_time() < end:
+            pass
+        self.ready = True
+        return True
+
+
 def greedy(_):
     return np.ones(10**8)
 
@@ -126,6 +139,7 @@ def test_the_campaign_sees_what_is_wrong(targets, monkeypatch):
     with limits(200):
         assert "took more than 0.1 s" in tried(slow, b"", 0.1)[1]
         assert "took more than 0.02 s" in tried(waiting, b"", 0.02)[1]
+        assert tried(Compiled(), b"", 0.1)[:2] == (True, "")
         assert tried(greedy, b"", 5.0)[1].startswith("MemoryError")
 
 
