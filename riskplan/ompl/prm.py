@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from time import perf_counter
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from riskplan.kernels.roadmap import CHILD, CHILDREN, TURNS, expand, traverse
 from riskplan.ompl.attached import AttachedEdges, free_goals
 from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler, about
 from riskplan.ompl.validity import RiskMotionValidator
+from riskplan.scene import Scenario
 from riskplan.search import Budget, Problem, SearchResult
 from riskplan.vehicles import curve_limits
 
@@ -28,7 +30,12 @@ _UNCONNECTED = 500  # labels made on a roadmap that does not lead to the goal
 _KEPT = 4  # labels kept per vertex, step and speed
 _SAFER = 0.3  # without a bound: share of the least risk seen that is looked for next
 _LAST = 1e9  # rank of what is riskier, above all times
+_SHARE = 500  # labels taken from the queue in the first round
 _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
+
+
+# one step of a search at a time, as long as it may go on
+Search = Iterator[None]
 
 
 @dataclass(frozen=True)
@@ -38,8 +45,8 @@ class Prm:
     OMPL's PRM samples the vertices; its undirected edges are not used. A label is a place on an edge at a grid step,
     with a speed and the accumulated risk per agent and mode; the acceleration is chosen anew where an edge ends, where
     the ego stands, and after 15 steps. One label replaces another at the same vertex, step and speed if no component of
-    its risk is higher. The roadmap is made larger while the search fails and time is left. A vehicle that reverses can
-    stop at vertices too, and goes on from there either way.
+    its risk is higher. Larger roadmaps are searched by turns with the first while none leads to the goal and time is
+    left. A vehicle that reverses can stop at vertices too, and goes on from there either way.
 
     Attributes:
         size: vertices at first.
@@ -53,7 +60,7 @@ class Prm:
         check_options("prm", self.size, self.roadmap)
 
     def search(self, problem: Problem, budget: Budget, seed: int) -> SearchResult:
-        """Search the roadmap; enlarge and search again until the goal is reached in budget, or time is up."""
+        """Search roadmaps, each larger than the one before, until the goal is reached in budget, or time is up."""
         return search_roadmaps(self.size, self.roadmap, (problem, budget, seed), Query.run)
 
 
@@ -66,42 +73,68 @@ def check_options(name: str, size: int, roadmap: Roadmap | None) -> None:
 
 
 def search_roadmaps(
-    size: int, roadmap: Roadmap | None, task: tuple[Problem, Budget, int], run: Callable[[Query], SearchResult]
+    size: int, roadmap: Roadmap | None, task: tuple[Problem, Budget, int], search_on: Callable[[Query], Search]
 ) -> SearchResult:
-    """Query roadmaps, the given one first, until the goal is reached in budget, or time is up."""
+    """Search roadmaps in turn, the given one first, until the goal is reached in budget, or time is up.
+
+    In every round one roadmap more is made, and each goes on with its search for twice as many labels as in the round
+    before: whichever of them holds a plan, and however large one must be, it costs but a logarithm more to find it.
+    """
     problem, budget, seed = task
     rng = np.random.default_rng(seed)
     sampler: Sampler | None = None
-    limits = curve_limits(problem.scenario.vehicle)
-    if roadmap is not None and (
-        roadmap.radii.min() < 1.0 / limits.curvature - 1e-9
-        or (limits.reverse > 0.0 and roadmap.forwards == len(roadmap.ends))
-    ):  # made for a nimbler car, or for one that does not reverse
-        roadmap = Roadmap.of(problem.scenario, roadmap.vertices, budget.expired)
-    best: SearchResult | None = None
-    counters = {"vertices": 0, "edges": 0, "labels": 0, "checked_steps": 0, "roadmaps": 0}
-    lowest = np.inf
-    while True:
+    roadmap = _drivable(roadmap, problem.scenario, budget)
+    queries: list[Query] = []
+    going: list[tuple[Query, Search]] = []
+    best, share = 0, _SHARE
+    while not queries or not budget.expired():
         began = perf_counter()
         if roadmap is None:
             sampler = sampler or Sampler(problem.scenario, problem.world, seed)
             roadmap = Roadmap.of(problem.scenario, sampler.grow(size, budget.expired), budget.expired)
             budget.iterations += size
+        query = Query(problem, budget, roadmap, rng)
+        queries.append(query)
+        going.append((query, search_on(query)))
         built = perf_counter() - began
-        result = run(Query(problem, budget, roadmap, rng))
-        lowest = min(lowest, result.lowest_seen)
-        for key, value in result.counters.items():
-            counters[key] = value if key in ("vertices", "edges") else counters[key] + value
-        counters["roadmaps"] += 1
-        if result.states is not None or best is None:
-            best = result
-        if budget.expired() or (best.states is not None and budget.bound is not None):
-            break
+        still = []
+        for each, search in going:
+            arrived = each.best
+            if sum(1 for _ in islice(search, share)) == share:
+                still.append((each, search))
+            if each.best != arrived:
+                best = queries.index(each)
+                if budget.bound is not None:
+                    return _result(queries, best)
+        going, share = still, 2 * share
         # larger at first; once large, or if a larger one would take what time is left, another one of that size
         before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
         if size > _LARGEST or (not budget.counted and budget.left() < 8.0 * built):
             size, sampler, seed = min(before, _LARGEST), None, seed + 1
-    return SearchResult(best.states, lowest, counters, best.edges)
+    return _result(queries, best)
+
+
+def _drivable(roadmap: Roadmap | None, scenario: Scenario, budget: Budget) -> Roadmap | None:
+    """The roadmap; connected anew if it was made for a nimbler vehicle, or for one that does not reverse."""
+    limits = curve_limits(scenario.vehicle)
+    if roadmap is None or (
+        roadmap.radii.min() >= 1.0 / limits.curvature - 1e-9
+        and not (limits.reverse > 0.0 and roadmap.forwards == len(roadmap.ends))
+    ):
+        return roadmap
+    return Roadmap.of(scenario, roadmap.vertices, budget.expired)
+
+
+def _result(queries: list[Query], best: int) -> SearchResult:
+    """What that query found, and what all of them saw and did."""
+    counters = {
+        "vertices": queries[best].edges.count,
+        "edges": len(queries[best].edges.roadmap.ends),
+        "labels": sum(len(q.labels) for q in queries),
+        "checked_steps": sum(q.checked for q in queries),
+        "roadmaps": len(queries),
+    }
+    return SearchResult(queries[best].way, min(q.lowest for q in queries), counters, queries[best].tree)
 
 
 class Label(NamedTuple):
@@ -170,16 +203,16 @@ class Query:
         source = self.edges.turned(self.edges.source) if speed < 0.0 else self.edges.source
         start = (pose, speed, 0, source, -1, 0.0, False, abs(speed))
         self.labels = [Label(*start, problem.start_risk, problem.start_total, -1, nothing)]
-        self.checked, self.lowest = 0, np.inf
+        self.checked, self.lowest, self.best = 0, np.inf, -1
 
-    def run(self) -> SearchResult:
+    def run(self) -> Search:
         """Best-first over lazily judged labels: a child is driven and charged when it is taken, not when it is made."""
         p, budget = self.problem, self.budget
         seen: dict[tuple[int, ...], list[Array]] = {}
         heap: list[tuple[float, float, int]] = []  # of labels, by the best of their children that are left
         left: dict[int, list[tuple[float, float, int, list[float]]]] = {}  # these, the best last
         failed: dict[int, int] = {}
-        best, aim = -1, np.inf
+        aim = np.inf
 
         def ranked(number: int, children: Iterable[list[float]]) -> None:
             label = self.labels[number]
@@ -206,6 +239,7 @@ class Query:
         ranked(0, self.children(self.labels[0]))
         push(0)
         while heap and len(self.labels) < self.most and not budget.over():
+            yield
             number = heapq.heappop(heap)[2]
             if self.labels[number].total > budget.limit:
                 continue
@@ -222,9 +256,9 @@ class Query:
                 continue
             self.labels.append(label)
             if arrived:
-                best = len(self.labels) - 1
+                self.best = len(self.labels) - 1
                 if budget.found(label.total):
-                    break
+                    return
                 # without a bound: much safer ones next, as if they were the first, and then by risk
                 aim = _SAFER * label.total
                 heap.clear()
@@ -235,17 +269,11 @@ class Query:
             else:
                 ranked(len(self.labels) - 1, self.children(label))
                 push(len(self.labels) - 1)
-        return self.result(best)
 
-    def result(self, best: int) -> SearchResult:
-        """What was found: the way to the label of that number, −1 for none."""
-        counters = {
-            "vertices": self.edges.count,
-            "edges": len(self.edges.roadmap.ends),
-            "labels": len(self.labels),
-            "checked_steps": self.checked,
-        }
-        return SearchResult(states_to(self.labels, best) if best >= 0 else None, self.lowest, counters, self._tree())
+    @property
+    def way(self) -> Array | None:
+        """(T, 4) to the last arrival, the least risky one; None if there is none."""
+        return states_to(self.labels, self.best) if self.best >= 0 else None
 
     def children(self, label: Label) -> list[list[float]]:
         """Rows of `expand`."""
@@ -336,7 +364,9 @@ class Query:
             return poses[:soonest], True
         return poses, False
 
-    def _tree(self) -> Array:
+    @property
+    def tree(self) -> Array:
+        """(E, 5) x0, y0, x1, y1, time of its labels."""
         dt = self.problem.scenario.time_step
         rows = [(*self.labels[x.parent].pose[:2], *x.pose[:2], x.step * dt) for x in self.labels[1:]]
         return np.array(rows).reshape(-1, 5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from dataclasses import dataclass, field
 
-from riskplan.ompl.prm import TOGETHER, Query, check_options, search_roadmaps
+from riskplan.ompl.prm import TOGETHER, Query, Search, check_options, search_roadmaps
 from riskplan.ompl.roadmap import Roadmap
 from riskplan.search import Budget, Problem, SearchResult
 
@@ -47,11 +47,12 @@ class _Late:
         self.owner: dict[tuple[int, ...], int] = {}
         self.kept_out: dict[int, list[_Entry]] = {}
 
-    def run(self) -> SearchResult:
+    def run(self) -> Search:
         """Best-first as if there were no risk, and from the last label that holds on after each way that does not."""
-        q, best = self.query, -1
+        q = self.query
         self._push(0)
         while len(q.labels) < q.most and not q.budget.over():
+            yield
             if not self.heap:  # those kept out by labels that hold may have spent less
                 for each in list(self.kept_out):
                     self._let_pass(each)
@@ -76,10 +77,9 @@ class _Late:
                 self.owner[label.key] = new
                 self._push(new)
             elif self._holds(new):
-                best = new
+                q.best = new
                 if q.budget.found(q.labels[new].total):
-                    break
-        return q.result(best)
+                    return
 
     def _push(self, number: int) -> None:
         label, latest = self.query.labels[number], self.query.problem.goal.latest
