@@ -56,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="searched for CommonRoad files")
     parser.add_argument("--python", default=sys.executable, metavar="PATH", help="interpreter that has the checker")
-    parser.add_argument("--planner", default="rrt")
+    parser.add_argument("--planner", default="rrt", choices=rp.planners(), metavar="NAME")
     parser.add_argument("--files", type=int, default=40, help="how many, spread evenly over the sorted list")
     parser.add_argument("--model", default="PM", choices=COSTS, help="vehicle model of the solutions; default PM")
     parser.add_argument("--bound", type=float, default=0.01, help="on the total risk")
@@ -93,7 +93,12 @@ def planned(files: list[Path], out: Path, args: argparse.Namespace) -> tuple[lis
     """The solutions written to `out`, and how many problems have none, by reason."""
     solutions, other = [], Counter[str]()
     for path in progress(files, "plans"):
-        scene = load_commonroad(path)
+        try:
+            scene = load_commonroad(path)
+        except rp.InputError as error:
+            print(error, file=sys.stderr)
+            other["unreadable file"] += 1
+            continue
         for i in range(len(scene.problems)):
             name = path.stem if len(scene.problems) == 1 else f"{path.stem} problem {i}"
             try:

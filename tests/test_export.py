@@ -231,9 +231,10 @@ def test_the_drivability_checker_accepts_it_and_sees_every_fault(plan, scenario_
 @pytest.mark.parametrize("model", ["PM", "KS"])
 def test_the_benchmark_plans_and_judges(scenario_file, model, capsys):
     python = os.environ["RISKPLAN_DRIVABILITY"]
+    (scenario_file.parent / "other.xml").write_text("<html/>")
     assert drivability(["--data", str(scenario_file.parent), "--python", python, "--model", model]) == 0
     assert f"### {model} solutions" in (said := capsys.readouterr().out)
-    assert "| 1 | 1 | 1 | 1 | 1 | 1 | 1 | 1 | 1 |" in said and "No plan: none." in said and "Failures" not in said
+    assert "| 2 | 1 | 1 | 1 | 1 | 1 | 1 | 1 | 1 |\n\nNo plan: unreadable file 1." in said and "Failures" not in said
 
 
 def test_the_benchmark_counts_what_fails(capsys):
