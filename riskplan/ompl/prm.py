@@ -53,7 +53,7 @@ class Prm:
         roadmap: one made earlier; None: a new one for each plan.
     """
 
-    size: int = 300
+    size: int = 100
     roadmap: Roadmap | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
