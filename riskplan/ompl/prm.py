@@ -30,7 +30,8 @@ _UNCONNECTED = 500  # labels made on a roadmap that does not lead to the goal
 _KEPT = 4  # labels kept per vertex, step and speed
 _SAFER = 0.3  # without a bound: share of the least risk seen that is looked for next
 _LAST = 1e9  # rank of what is riskier, above all times
-_SHARE = 500  # labels taken from the queue in the first round
+_SHARE = 10  # labels per vertex that are taken from the queue in the first round: what a roadmap twice as large costs
+_MORE = 4  # times as many in each further one
 _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
 
 
@@ -77,8 +78,8 @@ def search_roadmaps(
 ) -> SearchResult:
     """Search roadmaps in turn, the given one first, until the goal is reached in budget, or time is up.
 
-    In every round one roadmap more is made, and each goes on with its search for twice as many labels as in the round
-    before: whichever of them holds a plan, and however large one must be, it costs but a logarithm more to find it.
+    In every round one roadmap more is made, and each goes on with its search for several times as many labels as in the
+    round before: no roadmap waits until another's labels run out, and the first of them loses little to the others.
     """
     problem, budget, seed = task
     rng = np.random.default_rng(seed)
@@ -86,7 +87,7 @@ def search_roadmaps(
     roadmap = _drivable(roadmap, problem.scenario, budget)
     queries: list[Query] = []
     going: list[tuple[Query, Search]] = []
-    best, share = 0, _SHARE
+    best, share = 0, 0
     while not queries or not budget.expired():
         began = perf_counter()
         if roadmap is None:
@@ -97,7 +98,7 @@ def search_roadmaps(
         queries.append(query)
         going.append((query, search_on(query)))
         built = perf_counter() - began
-        still = []
+        share, still = _MORE * share or _SHARE * max(len(roadmap.vertices), 1), []
         for each, search in going:
             arrived = each.best
             if sum(1 for _ in islice(search, share)) == share:
@@ -106,7 +107,7 @@ def search_roadmaps(
                 best = queries.index(each)
                 if budget.bound is not None:
                     return _result(queries, best)
-        going, share = still, 2 * share
+        going = still
         # larger at first; once large, or if a larger one would take what time is left, another one of that size
         before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
         if size > _LARGEST or (not budget.counted and budget.left() < 8.0 * built):
