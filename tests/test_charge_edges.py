@@ -64,7 +64,7 @@ def test_traffic_beside_is_never_charged_nor_judged_below_its_risk():
         exact = checker("exact")(poses, known.agents[0], ego)
         direct = trajectory_risk([exact], known.agents).total
         total = known.charge(poses, 0, np.zeros(known.groups), np.inf, np.empty(known.groups))
-        assert direct * (1 - 1e-12) <= total <= 1.02 * direct + 1e-6
+        assert direct * (1 - 1e-12) - 1e-37 <= total <= 1.02 * direct + 1e-6
         stated = known.marginals(poses)[0].value
         np.testing.assert_allclose(stated, exact.value, rtol=1e-11, atol=1e-14 * exact.value.max())
         assert (stated >= exact.value * (1 - 1e-11)).all()
@@ -80,6 +80,6 @@ def test_agents_that_begin_later_or_choose_anew_are_packed_beside_the_others():
     known = RiskEvaluator(tuple(agents), ego, checker("exact"), _TIMES)
     risks = [checker("exact")(_POSES[-len(agent.times) :], agent, ego) for agent in agents]
     for stated, risk in zip(known.marginals(_POSES), risks, strict=True):
-        np.testing.assert_allclose(stated.value[-len(risk.value) :], risk.value, rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(stated.value[-len(risk.value) :], risk.value, rtol=1e-12, atol=1e-13)
     alone = [trajectory_risk([r], [a]).total for r, a in zip(risks, agents, strict=True)]
     np.testing.assert_allclose(known.judge(_POSES)[0].per_agent, alone, rtol=1e-12)

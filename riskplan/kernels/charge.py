@@ -119,11 +119,12 @@ def marginals(address, options, order, rows, index, pieces, groups, bounded, pos
     """Fill out (S, M) with the risk of every agent mode at poses (S, 3), NaN before its prediction begins.
 
     Where the backend is exact (`bounded`), modes and pieces that all together are less than rounding beside the largest
-    marginal are stated by their bounds: far tails are slow to work out, and change no digit of any sum.
+    marginal are stated by their bounds: far tails are slow to work out, and change no digit of any sum. None of these
+    marginals is itself above that share of it.
     """
     room = (np.empty(pieces.shape[0]), np.empty((order + 1) ** 2), np.empty(ROOM))
     fixed = (address, options, order, pieces)
-    negligible, idle, minor = 0.0, 0.0, 0.0
+    negligible, idle, minor, spare = 0.0, 0.0, 0.0, 0.0
     if bounded and len(index) > 0:
         minor = _ROUNDING
         spare = 0.5 * _ROUNDING * _bounded(fixed, rows, index, groups, poses, out, room)
@@ -136,7 +137,7 @@ def marginals(address, options, order, rows, index, pieces, groups, bounded, pos
             share = rows[s, m, WEIGHT] * groups[index[m, 0]]
             if not share >= 0.0:
                 out[s, m] = np.nan
-            elif share > 0.0 and bounded and out[s, m] < negligible:
+            elif share > 0.0 and bounded and out[s, m] < negligible and out[s, m] <= spare * share:
                 out[s, m] /= share
             else:
                 first, last = index[m, 1], index[m, 2]
