@@ -208,7 +208,8 @@ class RiskEvaluator:
     def _kinds(self) -> list[Kind]:
         """What is claimed of each agent's marginals."""
         counts = (self.grid.index[:, 2] - self.grid.index[:, 1]).tolist()
-        return [self.checker.kind_for(counts[mine.start]) for mine in self._columns]
+        known = {count: self.checker.kind_for(count) for count in set(counts)}
+        return [known[counts[mine.start]] for mine in self._columns]
 
     def _rows(self, poses: Array) -> Array:
         """(S, M) risk of every agent mode, nothing culled or bounded; NaN before a prediction begins."""
@@ -217,7 +218,8 @@ class RiskEvaluator:
         if self.checker.kernel:
             rows = np.empty(begun.shape)
             hot.marginals(*self._call[:7], self.checker.info.kind is Kind.EXACT, poses, rows)
-            rows[begun] = self.checker.answered(rows[begun])
+            if (np.isnan(rows) & begun).any():
+                rows[begun] = self.checker.answered(rows[begun])
         else:
             rows = self._given(poses, 0)
             rows[~begun] = np.nan

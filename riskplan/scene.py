@@ -197,7 +197,7 @@ class Scenario:
             if name not in ("start", "goal", "agents", "horizon"):
                 raise InputError(f"{name}: expected one of start, goal, agents, horizon; got another field")
         other = object.__new__(Scenario)
-        other.__dict__.update({**self.__dict__, **changed})
+        other.__dict__.update({**self.__dict__, "world": self.world, **changed})  # made now, it is made once for all
         other._check_task()
         return other
 

@@ -240,6 +240,11 @@ def test_charge_is_never_below_the_judge_and_close_to_it(scene, checker):
         assert total <= uncapped * 1.02 + 2e-4
 
 
+def test_scenes_that_differ_in_their_agents_share_the_static_world(scene):
+    unused = dataclasses.replace(scene)
+    assert unused.with_agents(()).world is unused.with_agents(scene.agents).world is unused.world
+
+
 def test_cascade_plans_as_exact_does(scene):
     exact, cascade = (rp.plan(scene, checker=c, bound=0.02, time_limit=20.0, seed=3) for c in ("exact", "cascade"))
     np.testing.assert_array_equal(exact.poses, cascade.poses)

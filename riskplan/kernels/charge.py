@@ -10,11 +10,12 @@ from checkers.kernels.gaussian import half_space
 from checkers.kernels.whiten import to_disc, to_ego, whiten_moments
 
 # columns of the agent rows; central moments follow
-MEAN_X, MEAN_Y, C11, C12, C22, DET, WEIGHT, CULL, REACH, MOMENTS = range(10)
+MEAN_X, MEAN_Y, C11, C12, C22, DET, WEIGHT, CULL, REACH, AHEAD, ASIDE, MOMENTS = range(12)
 
 
 # a piece bounded by less than this share of what is charged already is charged its bound: in a search, and in a verdict
 _MINOR, _ROUNDING = 3e-3, 1e-14
+_IDLE = 1e-20  # share of the largest that a mode has to add, by a loose bound, for a tighter one to be of use
 _SMALL = 0.1  # share of what is left to overstate that the whole shape of one mode may take
 _EXPONENTS = 1076  # of numbers from the smallest, 2^−1074, to 1
 
@@ -89,6 +90,25 @@ def _squared_gap(dx, dy, c11, c12, c22, reach):
 
 
 @nb.njit(inline="always", error_model="numpy")
+def _squared_gap_of_sides(dx, dy, c11, c12, c22, cos, sin, ahead, aside):
+    """The same along the ego's axes to the box |x| ≤ ahead, |y| ≤ aside about the whole shape, the larger of both.
+
+    Traffic in the next lane is within the reach of a long body, and beside it all the same.
+    """
+    d1, d2 = abs(cos * dx + sin * dy) - ahead, abs(cos * dy - sin * dx) - aside
+    mixed = 2.0 * cos * sin * c12
+    gap = 0.0
+    # the spread is rounded up: what is left of a difference may be rounding alone
+    if d1 > 0.0:
+        turned = cos * cos * c11 + sin * sin * c22
+        gap = d1 * d1 / (turned + mixed + 1e-15 * turned)
+    if d2 > 0.0:
+        turned = sin * sin * c11 + cos * cos * c22
+        gap = max(gap, d2 * d2 / (turned - mixed + 1e-15 * turned))
+    return gap
+
+
+@nb.njit(inline="always", error_model="numpy")
 def _beyond(gap):
     """Φ(−d) for a squared gap d²; 1 within the shape's reach."""
     return 0.5 * math.erfc(math.sqrt(0.5 * gap)) if gap > 0.0 else 1.0
@@ -99,11 +119,12 @@ def marginals(address, options, order, rows, index, pieces, groups, bounded, pos
     """Fill out (S, M) with the risk of every agent mode at poses (S, 3), NaN before its prediction begins.
 
     Where the backend is exact (`bounded`), modes and pieces that all together are less than rounding beside the largest
-    marginal are stated by their bounds Φ(−d): far tails are slow to work out, and change no digit of any sum.
+    marginal are stated by their bounds: far tails are slow to work out, and change no digit of any sum. None of these
+    marginals is itself above that share of it.
     """
     room = (np.empty(pieces.shape[0]), np.empty((order + 1) ** 2), np.empty(ROOM))
     fixed = (address, options, order, pieces)
-    negligible, idle, minor = 0.0, 0.0, 0.0
+    negligible, idle, minor, spare = 0.0, 0.0, 0.0, 0.0
     if bounded and len(index) > 0:
         minor = _ROUNDING
         spare = 0.5 * _ROUNDING * _bounded(fixed, rows, index, groups, poses, out, room)
@@ -116,7 +137,7 @@ def marginals(address, options, order, rows, index, pieces, groups, bounded, pos
             share = rows[s, m, WEIGHT] * groups[index[m, 0]]
             if not share >= 0.0:
                 out[s, m] = np.nan
-            elif share > 0.0 and bounded and out[s, m] < negligible:
+            elif share > 0.0 and bounded and out[s, m] < negligible and out[s, m] <= spare * share:
                 out[s, m] /= share
             else:
                 first, last = index[m, 1], index[m, 2]
@@ -126,12 +147,14 @@ def marginals(address, options, order, rows, index, pieces, groups, bounded, pos
 
 @nb.njit(cache=True, error_model="numpy")
 def _bounded(fixed, rows, index, groups, poses, out, room):
-    """Fill out (S, M) with bounds of what every mode adds to a sum; returns what the likeliest of them does add."""
+    """Fill out (S, M) with bounds of what every mode adds to a sum; returns what the likeliest of them does add.
+
+    First e^(−d²/2)/2 ≥ Φ(−d) for all; the one with the largest says how likely others have to be to be looked at again.
+    """
     pieces, bounds = fixed[3], room[0]
     at_step, at_mode, largest = -1, -1, 0.0
     for s in range(poses.shape[0]):
         x, y = poses[s, 0], poses[s, 1]
-        cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
         for m in range(index.shape[0]):
             out[s, m] = 0.0
             share = rows[s, m, WEIGHT] * groups[index[m, 0]]
@@ -145,15 +168,38 @@ def _bounded(fixed, rows, index, groups, poses, out, room):
                 rows[s, m, C22],
                 rows[s, m, REACH],
             )
-            out[s, m] = _beyond(gap) * share
+            out[s, m] = share * (0.5 * math.exp(-0.5 * gap) if gap > 0.0 else 1.0)
+            if out[s, m] > largest:
+                at_step, at_mode, largest = s, m, out[s, m]
+    if at_step < 0:
+        return 0.0
+    likeliest, largest = at_mode, 0.0
+    for turn in range(-1, poses.shape[0]):
+        s = at_step if turn < 0 else turn
+        x, y = poses[s, 0], poses[s, 1]
+        cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
+        for m in range(likeliest if turn < 0 else 0, likeliest + 1 if turn < 0 else index.shape[0]):
+            if not out[s, m] > _IDLE * largest:
+                continue
+            share = rows[s, m, WEIGHT] * groups[index[m, 0]]
+            gap = _squared_gap_of_sides(
+                rows[s, m, MEAN_X] - x,
+                rows[s, m, MEAN_Y] - y,
+                rows[s, m, C11],
+                rows[s, m, C12],
+                rows[s, m, C22],
+                cos,
+                sin,
+                rows[s, m, AHEAD],
+                rows[s, m, ASIDE],
+            )
+            out[s, m] = min(out[s, m], _beyond(gap) * share)
             if out[s, m] > largest:  # who is within the shape's reach need not be near its pieces
                 row, first, last = rows[s, m], index[m, 1], index[m, 2]
                 together, _, _ = _piece_bounds(pieces, row, first, last, x, y, cos, sin, 0.0, 0.0, bounds)
                 out[s, m] = min(together, 1.0) * share
                 if out[s, m] > largest:
                     at_step, at_mode, largest = s, m, out[s, m]
-    if at_step < 0:
-        return 0.0
     x, y, heading = poses[at_step, 0], poses[at_step, 1], poses[at_step, 2]
     cos, sin = math.cos(heading), math.sin(heading)
     row, first, last = rows[at_step, at_mode], index[at_mode, 1], index[at_mode, 2]
@@ -208,7 +254,7 @@ def charge(
     first: if it alone breaks it again, no other is.
 
     Args:
-        rows: (T, M, 9 + moments) of all agent modes on the grid, WEIGHT NaN before a prediction begins.
+        rows: (T, M, 11 + moments) of all agent modes on the grid, WEIGHT NaN before a prediction begins.
         index: (M, 3) group, first and last piece of each row.
         groups: (G,) outer weights; group_owner (G,) their agents, in order.
         caps: on the risk of every step, over all agents, and on that of every agent so far; infinite for none. Above
@@ -256,7 +302,7 @@ def charge(
         step, spare = first_step + s, idle
         if likely >= 0:
             step_risk[index[likely, 0]] += asked[s]
-        count = _cull(rows, step, index, x, y, small, likely, step_risk, near, gaps)
+        count = _cull(rows, step, index, x, y, cos, sin, small, likely, step_risk, near, gaps)
         for n in range(count):
             m = near[n]
             g, first, last, weight = index[m, 0], index[m, 1], index[m, 2], rows[step, m, WEIGHT]
@@ -287,7 +333,7 @@ def charge(
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _cull(rows, step, index, x, y, small, skipped, step_risk, near, gaps):
+def _cull(rows, step, index, x, y, cos, sin, small, skipped, step_risk, near, gaps):
     """List in near (M,) the modes that have to be looked at, with squared gaps (M,), and charge far ones their bound.
 
     No view of an array is made here: counting references would take longer than all else.
@@ -305,6 +351,9 @@ def _cull(rows, step, index, x, y, small, skipped, step_risk, near, gaps):
         if negligible > 0.0:
             c11, c12, c22 = rows[step, m, C11], rows[step, m, C12], rows[step, m, C22]
             gap = _squared_gap(dx, dy, c11, c12, c22, rows[step, m, REACH])
+            if gap <= quantile:
+                ahead, aside = rows[step, m, AHEAD], rows[step, m, ASIDE]
+                gap = max(gap, _squared_gap_of_sides(dx, dy, c11, c12, c22, cos, sin, ahead, aside))
             if gap > quantile:  # every piece lies beyond a half-space as unlikely as that
                 step_risk[index[m, 0]] += weight * negligible * (index[m, 2] - index[m, 1])
                 continue
@@ -325,7 +374,8 @@ def _breaks(fixed, rows, index, mode, weight, additive, small, poses, first_step
         cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
         row = rows[first_step + s, mode]
         nothing[0] = 0.0
-        if _cull(rows[:, mode : mode + 1], first_step + s, alone, x, y, small, -1, nothing, near, gaps):
+        only = rows[:, mode : mode + 1]
+        if _cull(only, first_step + s, alone, x, y, cos, sin, small, -1, nothing, near, gaps):
             first, last = index[mode, 1], index[mode, 2]
             r = row[WEIGHT] * row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, negligible, floor, minor, room)
         else:
