@@ -4,7 +4,8 @@
   their quadratic form, boxes from the convex hull of sums of corners.
 - `union_mass`: the N(0, I) mass of a union by Cartesian slices, bisected wherever two rules differ, without looking for
   kinks. `slices_mp` sums the same in mpmath.
-- `sampled_hits`: plain Monte Carlo of trajectories with true rectangles or ellipses.
+- `sampled_hits`: plain Monte Carlo of trajectories with true rectangles or ellipses; `hits_of_factors` the same of
+  agents that ξ alone moves, compiled: a tenth of the time.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import itertools
 
 import mpmath as mp
+import numba as nb
 import numpy as np
 from builders import spin
 from scipy.spatial import ConvexHull
@@ -167,6 +169,39 @@ def sampled_hits(positions, poses, headings, sizes=None, q=None):
             hit = (away @ planes[:, :2].T + planes[:, 2] <= 0).all(axis=1)
         first[(first < 0) & hit] = t
     return first
+
+
+def hits_of_factors(xi, poses, means, factors, headings, sizes=None, q=None):
+    """How many of the trajectories mean + factor ξ, ξ (n, 2), collide; sizes and q as in `sampled_hits`."""
+    planes, forms = np.zeros((len(poses), 8, 3)), np.zeros((len(poses), 2, 2))
+    planes[:, :, 2] = -1.0  # never outside
+    for t, pose in enumerate(poses):
+        if q is not None:
+            forms[t] = spin(pose[2]) @ q @ spin(pose[2]).T
+        else:
+            sums = corners(*sizes[:2], pose[2])[:, None] + corners(*sizes[2:], headings[t])[None]
+            found = np.unique(ConvexHull(sums.reshape(-1, 2)).equations.round(12), axis=0)
+            planes[t, : len(found)] = found
+    return _hits_of_factors(xi, means - poses[:, :2], factors, planes, forms)
+
+
+@nb.njit
+def _hits_of_factors(xi, away, factors, planes, forms):
+    count = 0
+    for n in range(len(xi)):
+        for t in range(len(away)):
+            x = away[t, 0] + factors[t, 0, 0] * xi[n, 0] + factors[t, 0, 1] * xi[n, 1]
+            y = away[t, 1] + factors[t, 1, 0] * xi[n, 0] + factors[t, 1, 1] * xi[n, 1]
+            f = forms[t]
+            hit = f[0, 0] * x * x + (f[0, 1] + f[1, 0]) * x * y + f[1, 1] * y * y <= 1.0
+            for plane in planes[t]:
+                if not hit or plane[0] * x + plane[1] * y + plane[2] > 0.0:
+                    hit = False
+                    break
+            if hit:
+                count += 1
+                break
+    return count
 
 
 def slices_mp(sets, digits=70):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from builders import cases, mixture, row, single, spin
 from oracles import trajectory, truth
-from oracles_path import box_set, ellipse_set, sampled_hits, slices_mp, union_mass
+from oracles_path import box_set, ellipse_set, hits_of_factors, sampled_hits, slices_mp, union_mass
 
 from checkers import EgoBox, EgoCover, EgoEllipsoid, GaussianMixturePrediction, InputError, Kind, checker, path_risk
 from checkers.path import within_any_dependence
@@ -163,14 +163,19 @@ def test_against_sampling(seed, extra):
 @pytest.mark.slow
 def test_against_sampling_in_two_hundred_scenes():
     """1e7 samples each, in chunks; 4 standard errors."""
+    scores = []
     for seed in range(200):
         rng = np.random.default_rng(1000 + seed)
         poses, pred = scene(rng, 10)
         ego, sizes, q = (BOX, (*EGO, *AGENT), None) if seed % 2 else (ELLIPSE, None, ELLIPSE.Q)
         value, n, hit = float(path_risk(poses, [pred], ego).total), 10_000_000, 0
+        moved = poses, pred.means[:, 0], pred.factors[:, 0], pred.headings[:, 0]
         for _ in range(50):
-            hit += (sampled_hits(pred.sample(n // 50, rng), poses, pred.headings[:, 0], sizes, q) >= 0).sum()
-        assert abs(value - hit / n) <= 4 * np.sqrt(max(value * (1 - value), 1 / n) / n), seed
+            hit += hits_of_factors(rng.standard_normal((n // 50, 2)), *moved, sizes, q)
+        scores.append((value - hit / n) / np.sqrt(max(value * (1 - value), 1 / n) / n))
+    worst = int(np.argmax(np.abs(scores)))
+    print(f"worst of {len(scores)} scenes: {scores[worst]:.2f} standard errors, seed {worst}")
+    assert abs(scores[worst]) <= 4.0, worst
 
 
 def test_quadrature_meets_the_sweep():
