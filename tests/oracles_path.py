@@ -172,36 +172,37 @@ def sampled_hits(positions, poses, headings, sizes=None, q=None):
 
 
 def hits_of_factors(xi, poses, means, factors, headings, sizes=None, q=None):
-    """How many of the trajectories mean + factor ξ, ξ (n, 2), collide; sizes and q as in `sampled_hits`."""
-    planes, forms = np.zeros((len(poses), 8, 3)), np.zeros((len(poses), 2, 2))
-    planes[:, :, 2] = -1.0  # never outside
+    """How many of the trajectories mean + factor ξ collide; ξ (2, n), sizes and q as in `sampled_hits`."""
+    # at each step one ellipse, or planes n·x + c ≤ 0, in the plane of ξ
+    forms, planes = np.zeros((len(poses), 6)), np.zeros((len(poses), 0 if sizes is None else 8, 3))
     for t, pose in enumerate(poses):
+        away, f = means[t] - pose[:2], factors[t]
         if q is not None:
-            forms[t] = spin(pose[2]) @ q @ spin(pose[2]).T
+            form = spin(pose[2]) @ q @ spin(pose[2]).T
+            (a, b), (_, d) = f.T @ form @ f
+            forms[t] = [a, 2 * b, d, *(2 * f.T @ form @ away), away @ form @ away - 1.0]
         else:
+            planes[t, :, 2] = -1.0  # of fewer than eight edges
             sums = corners(*sizes[:2], pose[2])[:, None] + corners(*sizes[2:], headings[t])[None]
             found = np.unique(ConvexHull(sums.reshape(-1, 2)).equations.round(12), axis=0)
-            planes[t, : len(found)] = found
-    return _hits_of_factors(xi, means - poses[:, :2], factors, planes, forms)
+            planes[t, : len(found)] = np.column_stack([found[:, :2] @ f, found[:, :2] @ away + found[:, 2]])
+    return sum(_hits_of_factors(*xi[:, i : i + 10_000], forms, planes) for i in range(0, xi.shape[1], 10_000))
 
 
 @nb.njit
-def _hits_of_factors(xi, away, factors, planes, forms):
-    count = 0
-    for n in range(len(xi)):
-        for t in range(len(away)):
-            x = away[t, 0] + factors[t, 0, 0] * xi[n, 0] + factors[t, 0, 1] * xi[n, 1]
-            y = away[t, 1] + factors[t, 1, 0] * xi[n, 0] + factors[t, 1, 1] * xi[n, 1]
-            f = forms[t]
-            hit = f[0, 0] * x * x + (f[0, 1] + f[1, 0]) * x * y + f[1, 1] * y * y <= 1.0
-            for plane in planes[t]:
-                if not hit or plane[0] * x + plane[1] * y + plane[2] > 0.0:
-                    hit = False
-                    break
-            if hit:
-                count += 1
-                break
-    return count
+def _hits_of_factors(xs, ys, forms, planes):
+    hit, here = np.zeros(len(xs), np.uint8), np.empty(len(xs), np.uint8)
+    for t in range(len(forms)):
+        a, b, d, e, f, g = forms[t]
+        for n in range(len(xs)):  # no branches: several at a time
+            x, y = xs[n], ys[n]
+            here[n] = (a * x + b * y + e) * x + (d * y + f) * y + g <= 0.0
+        for a, b, c in planes[t]:
+            for n in range(len(xs)):
+                here[n] &= a * xs[n] + b * ys[n] + c <= 0.0
+        for n in range(len(xs)):
+            hit[n] |= here[n]
+    return np.sum(hit)
 
 
 def slices_mp(sets, digits=70):

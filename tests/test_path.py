@@ -171,7 +171,7 @@ def test_against_sampling_in_two_hundred_scenes():
         value, n, hit = float(path_risk(poses, [pred], ego).total), 10_000_000, 0
         moved = poses, pred.means[:, 0], pred.factors[:, 0], pred.headings[:, 0]
         for _ in range(50):
-            hit += hits_of_factors(rng.standard_normal((n // 50, 2)), *moved, sizes, q)
+            hit += hits_of_factors(rng.standard_normal((2, n // 50), np.float32), *moved, sizes, q)
         scores.append((value - hit / n) / np.sqrt(max(value * (1 - value), 1 / n) / n))
     worst = int(np.argmax(np.abs(scores)))
     print(f"worst of {len(scores)} scenes: {scores[worst]:.2f} standard errors, seed {worst}")
