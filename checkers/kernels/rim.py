@@ -193,8 +193,11 @@ def _panels(row, y1, y2, low, high, inside, reach, panel, steep):
         along = half * (math.sqrt(d1 * d1 + d2 * d2) + row[11] * half)
         if x1 * x1 + x2 * x2 >= (reach + along) ** 2:
             continue
-        folds = 2.0 * half * abs(x1 * d1 + x2 * d2)
-        if (2.0 * along > panel or 2.0 * half > _BEND or folds > steep) and top + 2 <= _DEPTH:
+        rough = 2.0 * along > panel or 2.0 * half > _BEND
+        if steep < np.inf:  # slope and curvature of q/2 along the rim
+            bend = d1 * d1 + d2 * d2 + abs(x1 * (x1 + y1) + x2 * (x2 + y2))
+            rough |= 2.0 * half * abs(x1 * d1 + x2 * d2) > steep or 2.0 * half * math.sqrt(bend) > panel
+        if rough and top + 2 <= _DEPTH:
             stack[top + 1, 0], stack[top + 1, 1] = middle, stack[top, 1]
             stack[top, 1] = middle
             top += 2
