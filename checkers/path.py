@@ -142,13 +142,11 @@ def within_any_dependence(
     The truth lies there whatever the dependence (Fréchet 1935). A total moved by more than its error was no exact one;
     `doubts` (B, T) are the errors of the steps, by which a better total may be outside.
     """
-    doubts = PATH_SAFETY * doubts
-    lowest, highest = (steps - doubts).max(axis=-1), np.minimum((steps + doubts).sum(axis=-1), 1.0)
-    held = np.clip(total, lowest, highest)
+    held = np.clip(total, steps.max(axis=-1), np.minimum(steps.sum(axis=-1), 1.0))
     moved = np.abs(held - total)
-    if (moved > PATH_SAFETY * error + 1e-5 * held).any():
+    if (moved > PATH_SAFETY * (error + doubts.sum(axis=-1)) + 1e-5 * held).any():
         kind = Kind.weakest([kind, Kind.ESTIMATE])
-    return held, np.maximum(error, moved), kind
+    return held, error + moved, kind
 
 
 def _first(risk: Array) -> Array:
