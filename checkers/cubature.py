@@ -8,7 +8,7 @@ import numpy as np
 
 from checkers.kernels.given import DONE, SPLIT, fill_sets, first_hits, over_cells
 from checkers.kernels.path import ALIGNED, BOXES, sweep_steps
-from checkers.kernels.rim import EDGE, FINE, PIECE, ROUGH
+from checkers.kernels.rim import EDGE, FINE, FINEST, PIECE, ROUGH
 from checkers.kind import Kind
 from checkers.validate import Array
 
@@ -130,7 +130,7 @@ def _rules(nodes: int) -> Array:
 def _cells(sets: tuple[bool, Array, Array, Array], reach: float, tolerance: float) -> tuple[Array, float] | None:
     """(first hits (T,), error), or None if the cells needed are too many."""
     rank, steps = sets[3].shape[2], len(sets[1])
-    rules, panel = (_rules(5), ROUGH) if tolerance > 1e-6 else (_rules(8), FINE)
+    rules, panel = (_rules(5), ROUGH) if tolerance > 1e-6 else (_rules(8), FINE if tolerance > 1e-9 else FINEST)
     kept: list[tuple[Array, Array, Array, Array]] = []
     cells = np.zeros((1, 2, rank))
     cells[:, 1] = reach

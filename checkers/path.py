@@ -84,12 +84,12 @@ def path_risk(
     poses = as_poses(poses, len(predictions[0].times))
     as_array("poses", poses, poses.shape, largest=FARTHEST)
     batch = np.ascontiguousarray(poses.reshape(-1, *poses.shape[-2:]))
-    summary, totals, exposures, kinds, steps = _summary(batch, agents, ego, dependence, tolerance)
+    summary, totals, exposures, kinds, steps, doubts = _summary(batch, agents, ego, dependence, tolerance)
     errors = np.zeros(len(batch))
     for i, pred in enumerate(agents):
         if dependence == "persistent" and pred.factors is not None:
             total, error, exposure, kind = persistent_risk(batch, pred, ego, tolerance, seed)
-            total, error, kind = within_any_dependence(total, error, kind, steps[i])
+            total, error, kind = within_any_dependence(total, error, kind, steps[i], doubts[i])
             totals[:, i], exposures[:, i], kinds[i] = total, exposure, kind
             errors += PATH_SAFETY * error
         else:
@@ -113,33 +113,40 @@ def path_risk(
 
 def _summary(
     batch: Array, predictions: Sequence[PositionPrediction], ego: EgoShape, dependence: str, tolerance: float
-) -> tuple[TrajectoryRisk, Array, Array, list[Kind], list[Array]]:
-    """Marginals combined: what holds without factors, totals (B, A), exposures (B, A, T), kinds, steps (B, T) each."""
+) -> tuple[TrajectoryRisk, Array, Array, list[Kind], list[Array], list[Array]]:
+    """Marginals combined: what holds without factors, totals (B, A), exposures (B, A, T), kinds, steps, their errors.
+
+    The last two are (B, T) each.
+    """
     risks = [_marginals(batch, pred, ego, dependence, tolerance) for pred in predictions]
     combined = trajectory_risk(risks, predictions, "boole" if dependence == "boole" else "independent")
-    exposures, steps = [], []
+    exposures, steps, doubts = [], [], []
     for risk, pred in zip(risks, predictions, strict=True):
         weighted = pred.step_weights * risk.value
         steps.append(weighted.sum(axis=-1))
+        doubts.append(np.zeros_like(steps[-1]) if risk.error is None else (pred.step_weights * risk.error).sum(axis=-1))
         if dependence == "boole":
             exposures.append(weighted.sum(axis=-1))
         elif pred.modes == "persistent":
             exposures.append((pred.weights * _first(risk.value)).sum(axis=-1))
         else:
             exposures.append(_first(weighted.sum(axis=-1)[..., None])[..., 0])
-    return combined, combined.per_agent.copy(), np.stack(exposures, axis=1), [r.kind for r in risks], steps
+    return combined, combined.per_agent.copy(), np.stack(exposures, axis=1), [r.kind for r in risks], steps, doubts
 
 
-def within_any_dependence(total: Array, error: Array, kind: Kind, steps: Array) -> tuple[Array, Array, Kind]:
+def within_any_dependence(
+    total: Array, error: Array, kind: Kind, steps: Array, doubts: Array
+) -> tuple[Array, Array, Kind]:
     """An agent's total (B,), error (B,) and kind, held between the largest of its steps (B, T) and their sum.
 
-    The truth lies there whatever the dependence (Fréchet 1935). A total moved by more than its error was no exact one.
+    The truth lies there whatever the dependence (Fréchet 1935). A total moved by more than its error was no exact one;
+    `doubts` (B, T) are the errors of the steps, by which a better total may be outside.
     """
     held = np.clip(total, steps.max(axis=-1), np.minimum(steps.sum(axis=-1), 1.0))
     moved = np.abs(held - total)
-    if (moved > PATH_SAFETY * error + 1e-5 * held).any():
+    if (moved > PATH_SAFETY * (error + doubts.sum(axis=-1)) + 1e-5 * held).any():
         kind = Kind.weakest([kind, Kind.ESTIMATE])
-    return held, np.maximum(error, moved), kind
+    return held, error + moved, kind
 
 
 def _first(risk: Array) -> Array:

@@ -4,7 +4,8 @@
   their quadratic form, boxes from the convex hull of sums of corners.
 - `union_mass`: the N(0, I) mass of a union by Cartesian slices, bisected wherever two rules differ, without looking for
   kinks. `slices_mp` sums the same in mpmath.
-- `sampled_hits`: plain Monte Carlo of trajectories with true rectangles or ellipses.
+- `sampled_hits`: plain Monte Carlo of trajectories with true rectangles or ellipses; `hits_of_factors` the same of
+  agents that ξ alone moves, compiled: a tenth of the time.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import itertools
 
 import mpmath as mp
+import numba as nb
 import numpy as np
 from builders import spin
 from scipy.spatial import ConvexHull
@@ -167,6 +169,40 @@ def sampled_hits(positions, poses, headings, sizes=None, q=None):
             hit = (away @ planes[:, :2].T + planes[:, 2] <= 0).all(axis=1)
         first[(first < 0) & hit] = t
     return first
+
+
+def hits_of_factors(xi, poses, means, factors, headings, sizes=None, q=None):
+    """How many of the trajectories mean + factor ξ collide; ξ (2, n), sizes and q as in `sampled_hits`."""
+    # at each step one ellipse, or strips |n·x + c| ≤ reach (opposite edges are parallel), in the plane of ξ
+    forms, strips = np.zeros((len(poses), 6)), np.zeros((len(poses), 0 if sizes is None else 4, 4))
+    for t, pose in enumerate(poses):
+        away, f = means[t] - pose[:2], factors[t]
+        if q is not None:
+            form = spin(pose[2]) @ q @ spin(pose[2]).T
+            (a, b), (_, d) = f.T @ form @ f
+            forms[t] = [a, 2 * b, d, *(2 * f.T @ form @ away), away @ form @ away - 1.0]
+        else:
+            sums = corners(*sizes[:2], pose[2])[:, None] + corners(*sizes[2:], headings[t])[None]
+            found = np.unique(ConvexHull(sums.reshape(-1, 2)).equations.round(12), axis=0)
+            found = found[: len(found) // 2]  # sorted: the first half are the second's opposites
+            strips[t, : len(found)] = np.column_stack([found[:, :2] @ f, found[:, :2] @ away, -found[:, 2]])
+    return sum(_hits_of_factors(*xi[:, i : i + 10_000], forms, strips) for i in range(0, xi.shape[1], 10_000))
+
+
+@nb.njit
+def _hits_of_factors(xs, ys, forms, strips):
+    hit, here = np.zeros(len(xs), np.uint8), np.empty(len(xs), np.uint8)
+    for t in range(len(forms)):
+        a, b, d, e, f, g = forms[t]
+        for n in range(len(xs)):  # no branches: several at a time
+            x, y = xs[n], ys[n]
+            here[n] = (a * x + b * y + e) * x + (d * y + f) * y + g <= 0.0
+        for a, b, c, reach in strips[t]:
+            for n in range(len(xs)):
+                here[n] &= abs(a * xs[n] + b * ys[n] + c) <= reach
+        for n in range(len(xs)):
+            hit[n] |= here[n]
+    return np.sum(hit)
 
 
 def slices_mp(sets, digits=70):

@@ -10,12 +10,12 @@ from builders import spin
 from oracles_path import box_set, ellipse_set, sampled_hits, union_mass
 from test_path import AGENT, BOX, EGO, ELLIPSE, agent, scene
 
-from checkers import EgoCover, EgoEllipsoid, Kind, path_risk
+from checkers import EgoCover, EgoEllipsoid, Kind, checker, path_risk
 from checkers.cubature import exposed_arcs
 from checkers.kernels.given import fill_sets
 from checkers.kernels.path import BOXES, sweep_steps
 from checkers.kernels.rim import EDGE, FINE, PIECE, ROUGH, mass
-from checkers.path import shape_against
+from checkers.path import PATH_SAFETY, persistent_risk, shape_against, step_risk
 
 
 @dataclass(frozen=True)
@@ -203,3 +203,26 @@ def test_a_rest_along_a_line_only(name, rank):
             hit |= np.einsum("ni,ij,nj->n", seen - o, q, seen - o) <= 1.0
     value = float(risk.total)
     assert abs(value - hit.mean()) <= float(risk.error) + 4 * np.sqrt(max(value * (1 - value), 1 / n) / n)
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-8, 1e-11])
+def test_one_step_is_its_marginal_into_the_far_tail(tolerance):
+    """How far the rest has to go is far too: along a rim e^(−q/2) then falls fast, and the clearance is less."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        root, factor = (spin(rng.uniform(0, 7)) @ np.diag(rng.uniform(0.3, 3.0, 2)) for _ in range(2))
+        rest, rank = root @ root.T, 1 + seed % 2
+        mean = np.array([(5.0 + 3.0 * seed) * spin(rng.uniform(0, 7))[0]])
+        covariances = factor[:, :rank] @ factor[:, :rank].T + rest
+        pred = replace(
+            agent([0.0], mean, factor[None], [rng.uniform(0, 7)]),
+            covariances=covariances[None, None],
+            factors=factor[None, None, :, :rank],
+        )
+        for ego in (ELLIPSE, BOX):
+            pose = np.zeros((1, 3))
+            total, error, _, kind = persistent_risk(pose[None], pred, ego, tolerance, 0)  # not yet held to the marginal
+            risk = checker("exact")(pose, pred, ego) if ego is ELLIPSE else step_risk(pose, pred, ego, 1e-13)
+            assert kind is Kind.EXACT
+            assert abs(total[0] - risk.value[0, 0]) <= PATH_SAFETY * (error[0] + risk.error[0, 0]) + 1e-290
+            assert error[0] <= tolerance * total[0] + 1e-290

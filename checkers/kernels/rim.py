@@ -3,9 +3,9 @@
 With g(q) = (1 − e^(−q/2)) / q, which is entire, and y = rim − z,
     P = (1/2π) ∮ g(|y|²) (y × dy) = [z ∈ K] + (1/2π) ∮ (g(|y|²) − 1/|y|²) (y × dy)
 by Green's theorem. The second integrand is below e^(−|y|²/2), so only the rim near z is integrated; along that,
-∮ (y × dy)/|y|² is the angle it is seen under. Where all of K is far, −∮ e^(−|y|²/2)/|y|² (y × dy) keeps the relative
-accuracy of small P. Sets are octagons (rows of edges) or unions of ellipses (rows of pieces, and the arcs of their rims
-that are not inside another).
+∮ (y × dy)/|y|² is the angle it is seen under. Far panels are summed as −e^(−|y|²/2)/|y|² (y × dy), which keeps the
+relative accuracy of small P. Sets are octagons (rows of edges) or unions of ellipses (rows of pieces, and the arcs of
+their rims that are not inside another).
 """
 
 import math
@@ -18,7 +18,9 @@ EDGE = 5
 # a piece: centre, A with {|A (y − centre)| ≤ 1}, its short half-axis 1/|A|, A⁻¹, and its long half-axis |A⁻¹|
 PIECE = 12
 _FAR = 2.5  # beyond, e^(−q/2)/q is as smooth as g
-FINE, ROUGH = 2.0, 3.5  # longest panel: 8 nodes leave 4e-12 or 5e-8
+FINEST, FINE, ROUGH = 1.0, 2.0, 3.5  # longest panel: 8 nodes leave 1e-15, 4e-12 or 5e-8
+_STEEP = 2.25  # e-foldings of e^(−q/2), times the longest panel, in one panel of a rim that is far
+_BEYOND = 83.0  # squared distance, past the nearest, of what adds less than rounding
 _BEND = 0.7  # rad of an ellipse in one panel
 _DEPTH = 128  # of halvings
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -66,20 +68,40 @@ def mass(octagon, rows, arcs, z1, z2, reach, panel):
 
     Args:
         rows: (8, EDGE) or (N, PIECE); arcs: (M, 3) piece, from, to [rad], unread for octagons.
-        panel: longest panel, FINE or ROUGH.
+        panel: longest panel, FINEST, FINE or ROUGH.
     """
     away = clearance(octagon, rows, z1, z2)
     if away >= reach:
         return 0.0
     if away <= -reach:
         return 1.0
-    around, far = 0.0, away >= _FAR
+    square = _squared_distance(octagon, rows, z1, z2) if away > 0.0 else 0.0
+    reach = min(reach, math.sqrt(square + _BEYOND))
+    steep = _STEEP * panel if square > _FAR * _FAR else np.inf
+    around = 0.0
     for i in range(len(rows) if octagon else len(arcs)):
         if octagon:
-            around += _edge(rows[i], z1, z2, reach, panel, far)
+            around += _edge(rows[i], z1, z2, reach, panel, steep)
         else:
-            around += _arc(rows, arcs[i], z1, z2, reach, panel, far)
+            around += _arc(rows, arcs[i], z1, z2, reach, panel, steep)
     return min(max((1.0 if away <= 0.0 else 0.0) + around / (2.0 * math.pi), 0.0), 1.0)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _squared_distance(octagon, rows, z1, z2):
+    """Squared distance from z to a point of the rim, the nearest of an octagon's, towards the centre of a piece's."""
+    least = np.inf
+    for i in range(len(rows)):
+        row = rows[i]
+        if octagon:
+            tangent = row[0] * z2 - row[1] * z1
+            along = max(row[3] - tangent, tangent - row[4], 0.0)
+            least = min(least, rim_distance(octagon, row, z1, z2) ** 2 + along * along)
+        else:
+            y1, y2 = z1 - row[0], z2 - row[1]
+            norm = math.hypot(row[2] * y1 + row[3] * y2, row[4] * y1 + row[5] * y2)
+            least = min(least, (1.0 - 1.0 / norm) ** 2 * (y1 * y1 + y2 * y2))
+    return least
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -97,7 +119,7 @@ def _density(q, far):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _edge(row, z1, z2, reach, panel, far):
+def _edge(row, z1, z2, reach, panel, steep):
     """∫ (g − 1/q) (y × dy) along one edge."""
     h = -(row[0] * z1 + row[1] * z2 - row[2])  # above 0 inside, to the last bit as `clearance` says
     if abs(h) >= reach:
@@ -110,23 +132,24 @@ def _edge(row, z1, z2, reach, panel, far):
     if low <= -wide and high >= wide:  # as good as a line
         outside = -math.pi * math.erfc(abs(h) / math.sqrt(2.0))
         return outside if h >= 0.0 else -outside
-    count = math.ceil((high - low) / panel)
+    count = math.ceil((high - low) * max(1.0 / panel, low / steep, -high / steep))
     half = 0.5 * (high - low) / count
-    total = 0.0
+    total, side = 0.0, h if h != 0.0 else 1e-300
     for p in range(count):
         middle = low + (2 * p + 1) * half
+        far = max(abs(middle) - half, 0.0) ** 2 + h * h >= _FAR * _FAR
+        part = 0.0
         for k in range(8):
             x = middle + half * _NODES[k]
-            total += _WEIGHTS[k] * _density(h * h + x * x, far)
-    total *= h * half
-    if far:
-        return total
-    side = h if h != 0.0 else 1e-300
-    return total - (math.atan(high / side) - math.atan(low / side))
+            part += _WEIGHTS[k] * _density(h * h + x * x, far)
+        total += part * h * half
+        if not far:
+            total -= math.atan((middle + half) / side) - math.atan((middle - half) / side)
+    return total
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _arc(rows, arc, z1, z2, reach, panel, far):
+def _arc(rows, arc, z1, z2, reach, panel, steep):
     """The same along what is near of an arc of the rim of a piece."""
     row = rows[int(arc[0])]
     y1, y2 = z1 - row[0], z2 - row[1]
@@ -138,19 +161,19 @@ def _arc(rows, arc, z1, z2, reach, panel, far):
     # in the plane of u the rim's point at angle θ is |e^(iθ) − u|, and at least that times the short half-axis away
     turn = (within * within - (norm - 1.0) ** 2) / (4.0 * norm + 1e-300)
     if turn >= 1.0:
-        return _panels(row, y1, y2, arc[1], arc[2], norm <= 1.0, reach, panel, far)
+        return _panels(row, y1, y2, arc[1], arc[2], norm <= 1.0, reach, panel, steep)
     nearest, half = math.atan2(u2, u1), 2.0 * math.asin(math.sqrt(turn))
     total = 0.0
     for lap in range(-1, 3):  # arcs lie in [0, 2π]
         low = max(arc[1], nearest - half + 2.0 * math.pi * lap)
         high = min(arc[2], nearest + half + 2.0 * math.pi * lap)
         if low < high:
-            total += _panels(row, y1, y2, low, high, norm <= 1.0, reach, panel, far)
+            total += _panels(row, y1, y2, low, high, norm <= 1.0, reach, panel, steep)
     return total
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _panels(row, y1, y2, low, high, inside, reach, panel, far):
+def _panels(row, y1, y2, low, high, inside, reach, panel, steep):
     """The same from one angle to another; y: from the piece's centre to z, which may be inside the piece.
 
     Halved until a part is out of reach or short, by its own speed: an ellipse may be 1e9 times as long as wide.
@@ -170,7 +193,11 @@ def _panels(row, y1, y2, low, high, inside, reach, panel, far):
         along = half * (math.sqrt(d1 * d1 + d2 * d2) + row[11] * half)
         if x1 * x1 + x2 * x2 >= (reach + along) ** 2:
             continue
-        if (2.0 * along > panel or 2.0 * half > _BEND) and top + 2 <= _DEPTH:
+        rough = 2.0 * along > panel or 2.0 * half > _BEND
+        if steep < np.inf:  # slope and curvature of q/2 along the rim
+            bend = d1 * d1 + d2 * d2 + abs(x1 * (x1 + y1) + x2 * (x2 + y2))
+            rough |= 2.0 * half * abs(x1 * d1 + x2 * d2) > steep or 2.0 * half * math.sqrt(bend) > panel
+        if rough and top + 2 <= _DEPTH:
             stack[top + 1, 0], stack[top + 1, 1] = middle, stack[top, 1]
             stack[top, 1] = middle
             top += 2
@@ -179,7 +206,7 @@ def _panels(row, y1, y2, low, high, inside, reach, panel, far):
             known, c0, s0 = half, math.cos(half), math.sin(half)
             for k in range(8):
                 turns[k, 0], turns[k, 1] = math.cos(half * _NODES[k]), math.sin(half * _NODES[k])
-        part = 0.0
+        part, far = 0.0, x1 * x1 + x2 * x2 >= (_FAR + along) ** 2
         for k in range(8):
             ck, sk = c * turns[k, 0] - s * turns[k, 1], s * turns[k, 0] + c * turns[k, 1]
             x1, x2 = i11 * ck + i12 * sk - y1, i21 * ck + i22 * sk - y2
