@@ -283,42 +283,79 @@ def test_sos_closed_form_from_moments_of_a_few_points():
         assert value == pytest.approx(best, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("order", "n", "rtol", "atol"), [(2, 150, 1e-6, 0), (4, 150, 2e-6, 0), (6, 150, 5e-6, 0), (8, 15, 1e-5, 1e-6)]
-)
-def test_sos_closed_form_agrees_with_clarabel(order, n, rtol, atol):
-    """The certificate pays for what the solver leaves over: at order 8, in one of a few hundred modes, up to 3e-4."""
+@pytest.mark.parametrize("order", [2, 4, 6, 8, 10, 12])
+def test_sos_closed_form_agrees_with_clarabel(order):
     rng = np.random.default_rng(30 + order)
+    n = 150
     means, covs = rng.uniform(-2.5, 2.5, (n, 2)), cases(rng, n, sigma=(0.3, 1.5), ratio=3.0)[2]
     pred, poses = row(means, covs), np.zeros((n, 3))
     closed = checker("sos", order=order)(poses, pred, DISC).value
     solved = checker("sos", order=order, solver="clarabel")(poses, pred, DISC).value
-    np.testing.assert_allclose(solved, closed, rtol=rtol, atol=atol)
+    np.testing.assert_allclose(solved, closed, rtol=1e-6)
     assert (solved >= closed - 1e-9).all()  # certified: above the optimum
 
 
+@pytest.mark.parametrize(
+    ("order", "mean", "s"),
+    [
+        (10, [-0.299017, -0.0795166], [1.486888, 0.155507, 1.877029]),
+        (12, [-0.208629, 0.467889], [2.862057, 0.236642, 0.430695]),
+    ],
+)
+def test_clarabel_where_the_polynomial_touches_far_left(order, mean, s):
+    """The worst of 3,000 modes each: the last digit of the solver's polynomial is 1 or 3 % of the answer there."""
+    cov = [[s[0], s[1]], [s[1], s[2]]]
+    closed, solved = (
+        checker("sos", order=order, solver=solver)(np.zeros((1, 3)), single(mean, cov), DISC).value[0, 0]
+        for solver in ("closed-form", "clarabel")
+    )
+    assert closed <= solved <= closed * (1 + 1e-6)
+
+
+def test_clarabel_far_out():
+    """Where a solver's tolerance, taken as an absolute one, would drown the risk."""
+    spread = np.geomspace(1e-8, 0.3, 40)
+    covs = spread[:, None, None] ** 2 * np.diag([1.0, 4.0])
+    pred, poses = row(np.tile([3.0, 1.0], (40, 1)), covs), np.zeros((40, 3))
+    for order in (2, 4, 8, 12):
+        closed = checker("sos", order=order)(poses, pred, DISC).value
+        solved = checker("sos", order=order, solver="clarabel")(poses, pred, DISC).value
+        assert (solved >= closed).all()
+        assert (solved <= 1.001 * closed + 1e-10).all()
+
+
 def test_certificate_does_not_trust_the_solver():
-    """E[p] of any polynomial is lifted until p dominates the indicator: compare with a fine grid."""
+    """Any sum of squares, divided by its minimum left of the threshold, dominates the indicator: a fine grid."""
     rng = np.random.default_rng(1)
-    moments = np.array([1, 0, 1, 0.3, 3.2])
+    moments, noise = np.array([1, 0, 1, 0.3, 3.2]), np.zeros(5)
     x = np.linspace(-30, 30, 200_001)
-    for _ in range(50):
-        c = rng.normal(size=5)
-        c[-1] = abs(c[-1]) + 0.1
-        x0 = rng.uniform(-2, 2)
-        value = certified_value(c, moments, x0)
-        p = np.polynomial.polynomial.polyval(x, c)
-        lift = max(0.0, -p.min(), (1 - p[x <= x0]).max())
-        assert value >= min(1.0, c @ moments + lift) - 1e-6
-        assert 0 <= value <= 1
-    for c in ([1.0, 0.0, 0.0], [0.5, 0.1, 0.0], [1.0, 0.0, -1.0], [np.nan, 0.0, 1.0]):
-        assert certified_value(np.array(c), moments[:3], 0.0) == 1.0
+    for _ in range(200):
+        factor, x0 = rng.normal(size=(rng.integers(1, 4), 3)), rng.uniform(-2, 2)
+        value = certified_value(factor, moments, noise, x0)
+        squares = [np.polynomial.polynomial.polymul(f, f) for f in factor]
+        p = np.polynomial.polynomial.polyval(x, np.sum(squares, axis=0))
+        least = min(p[x <= x0].min(), np.polynomial.polynomial.polyval(x0, np.sum(squares, axis=0)))
+        sharp = np.sum(squares, axis=0) @ moments / least
+        assert value >= min(1.0, sharp) - 1e-12
+        assert value <= sharp * (1.0 + 1e-4) + 1e-12  # the grid does not meet the minimum
+        noisy = certified_value(factor, moments, np.array([0, 0, 0, 0, 0.1]), x0)
+        assert noisy >= min(1.0, sharp + 0.1 * np.sum(squares, axis=0)[4] / least) - 1e-12
+    for f in ([1.0, 0.0], [0.0, 0.0], [np.nan, 1.0], [1.0, np.nan], [0.0, np.inf], [1.0, 1e-200]):
+        assert certified_value(np.array([f]), moments[:3], noise[:3], -1.0) == 1.0
+    assert certified_value(np.array([[1.0, 1.0]]), moments[:3], noise[:3], -0.5) == 1.0  # a zero left of the threshold
 
 
 def test_solver_is_never_below_zero():
     """Moments that no distribution has, as rounding leaves them: the program is unbounded below."""
     for fourth in (0.9, 0.999999, 0.0):
         assert 0 <= IntervalProgram(4).bound(np.array([1.0, 0.0, 1.0, 0.0, fourth]), np.zeros(5), -1.5) <= 1
+
+
+def test_clarabel_at_any_threshold():
+    """Spreads of 1e-60 put it 1e60 of them away, to either side."""
+    moments = np.array([1.0, 0.0, 1.0, 0.0, 3.0, 0.0, 15.0])
+    for x0, most in ((-1e60, 1e-20), (-1e3, 1e-11), (-1.0, 0.51), (1e3, 1.0), (1e60, 1.0)):
+        assert 0 <= IntervalProgram(6).bound(moments, np.zeros(7), x0) <= most
 
 
 def test_higher_orders_are_never_looser():
