@@ -30,7 +30,7 @@ _UNCONNECTED = 500  # labels made on a roadmap that does not lead to the goal
 _KEPT = 4  # labels kept per vertex, step and speed
 _SAFER = 0.3  # without a bound: share of the least risk seen that is looked for next
 _LAST = 1e9  # rank of what is riskier, above all times
-_SHARE = 10  # labels per vertex that are taken from the queue in the first round: what a roadmap twice as large costs
+_SHARE, _GIVEN = 5, 20  # labels per vertex that are taken from the queue in the first round; of a roadmap that is kept
 _MORE = 4  # times as many in each further one
 _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
 
@@ -54,7 +54,7 @@ class Prm:
         roadmap: one made earlier; None: a new one for each plan.
     """
 
-    size: int = 100
+    size: int = 150
     roadmap: Roadmap | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
@@ -87,7 +87,7 @@ def search_roadmaps(
     roadmap = _drivable(roadmap, problem.scenario, budget)
     queries: list[Query] = []
     going: list[tuple[Query, Search]] = []
-    best, share = 0, 0
+    best, share = 0, 0 if roadmap is None else _GIVEN * max(len(roadmap.vertices), 1) // _MORE
     while not queries or not budget.expired():
         began = perf_counter()
         if roadmap is None:

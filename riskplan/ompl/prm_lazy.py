@@ -24,7 +24,7 @@ class PrmLazy:
         size, roadmap: as of `prm`.
     """
 
-    size: int = 100
+    size: int = 300
     roadmap: Roadmap | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
