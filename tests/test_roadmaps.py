@@ -116,7 +116,7 @@ def test_it_waits_for_one_who_crosses():
         assert_drivable(scene.vehicle, states_of(plan), scene.time_step)
         assert plan.times[-1] > 6.5 and plan.speeds.min() < 4.0
         assert float(plan.risk.total) <= 0.01
-    still = rp.plan(replace(scene, start=rp.State(21.4, 0.0, 0.0, 0.0)), "prm", bound=0.01, time_limit=20.0)
+    still = rp.plan(replace(scene, start=rp.State(21.0, 0.0, 0.0, 0.0)), "prm", bound=0.01, time_limit=20.0)
     assert still.solved and (still.speeds[:20] == 0.0).all()  # at a standstill it stays until the way is free
 
 
