@@ -12,7 +12,7 @@ from oracles import trajectory, truth
 from oracles_path import box_set, ellipse_set, hits_of_factors, sampled_hits, slices_mp, union_mass
 
 from checkers import EgoBox, EgoCover, EgoEllipsoid, GaussianMixturePrediction, InputError, Kind, checker, path_risk
-from checkers.path import within_any_dependence
+from checkers.path import step_risk, within_any_dependence
 
 EGO, AGENT = (4.6, 1.9), (4.4, 1.8)
 ELLIPSE = EgoEllipsoid.around(*EGO, *AGENT)
@@ -192,6 +192,20 @@ def test_quadrature_meets_the_sweep():
     assert third.kind is Kind.ESTIMATE
     assert abs(float(third.total) - float(exact.total)) <= float(third.error)
     assert float(third.total) == float(path_risk(poses, [agent(args[0], args[1], padded, args[3])], BOX).total)
+
+
+@pytest.mark.parametrize("times_as_far", [4.0, 6.5, 7.0, 8.0, 8.4])
+def test_the_sweep_is_right_to_the_end_of_the_exponents(times_as_far):
+    """From 5e-26 to 1e-290: the square of a risk that small is 0, and so was the error of panels."""
+    form = np.array([[0.264280273, -2.94992202e-05], [-2.94992202e-05, 0.201363293]])
+    spread = np.array([[0.018404767190698185, 0.013472263204839583], [0.013472263204839583, 0.031595388728673644]])
+    pred = GaussianMixturePrediction([0.0], [1.0], np.zeros((1, 1, 2)), spread[None, None])
+    poses = np.array([[0.8373397425 * times_as_far, 0.4779062375 * times_as_far, -2.2285692]])
+    want = float(checker("exact")(poses, pred, EgoEllipsoid(form)).value[0, 0])
+    assert 0.0 < want < 1e-25
+    for tolerance in (1e-2, 1e-6, 1e-10):
+        found = step_risk(poses, pred, EgoEllipsoid(form), tolerance)
+        assert float(found.value[0, 0]) == pytest.approx(want, rel=tolerance + 1e-11, abs=0.0)
 
 
 def test_no_factors_and_zero_factors_are_independence():

@@ -101,7 +101,7 @@ def measure(kind, rows, spans, ends, count, rays, used, panel, sector, bounds, l
         value = (f0 + 4.0 * f1 + 2.0 * f2 + 4.0 * f3 + f4) / 12.0
         # its difference from the coarser rule, and the odd null rule of the same norm: one of them may vanish at a kink
         even, odd = f0 - 4.0 * f1 + 6.0 * f2 - 4.0 * f3 + f4, _SQRT7 * (f4 - 2.0 * f3 + 2.0 * f1 - f0)
-        error = math.sqrt(even * even + odd * odd) / 24.0
+        error = math.hypot(even, odd) / 24.0
     scale = (high - low) / FULL_CIRCLE
     panel[LOW], panel[HIGH], panel[MASS], panel[ERROR], panel[STATE] = low, high, value * scale, error * scale, state
     panel[CORNERS], panel[CORNERS + 1], panel[CORNERS + 2] = left, before, centre
