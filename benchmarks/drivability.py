@@ -1,12 +1,12 @@
 """Plans for CommonRoad's own problems, exported and judged by commonroad-drivability-checker: prints tables.
 
-    python -m benchmarks.drivability --data DIR --python /tmp/drv/bin/python [--planner rrt] [--files 40] [--model PM]
+    python -m benchmarks.drivability --data DIR --python drivability/bin/python [--planner rrt] [--files 40] [--model PM]
 
 commonroad-drivability-checker 2025.4 needs commonroad-io 2024.3, riskplan's environment has a later one. So the
 solutions are judged in a second environment, whose interpreter `--python` names (`benchmarks/drivability_judge.py`):
 
-    python -m venv /tmp/drv
-    /tmp/drv/bin/pip install commonroad-drivability-checker==2025.4.0 commonroad-io==2024.3 triangle
+    python -m venv drivability
+    drivability/bin/pip install commonroad-drivability-checker==2025.4.0 commonroad-io==2024.3 triangle
 
 Every planning problem of the files is planned for, among traffic predicted from what its start knows, with the body of
 CommonRoad's BMW 320i: a `KinematicCar` for the point mass PM, a `KinematicBicycle` with its axles for KS. The checker
