@@ -1,6 +1,6 @@
 """Plans for CommonRoad's own problems, exported and judged by commonroad-drivability-checker: prints tables.
 
-    python -m benchmarks.drivability --data DIR --python drivability/bin/python [--planner rrt] [--files 40] [--model PM]
+    python -m benchmarks.drivability --data DIR --python drivability/bin/python [--model PM]
 
 commonroad-drivability-checker 2025.4 needs commonroad-io 2024.3, riskplan's environment has a later one. So the
 solutions are judged in a second environment, whose interpreter `--python` names (`benchmarks/drivability_judge.py`):
