@@ -14,7 +14,8 @@ from checkers.validate import Array
 from checkers.writing import written
 
 LARGEST = 50_000_000  # bytes of a text file
-MOST_VALUES = 2_000_000  # numbers, texts, lists and mappings of a text file; predictions beyond that belong in an .npz
+# numbers, texts, lists and mappings of a text file, 2 to 3 s of reading; predictions beyond that belong in an .npz
+MOST_VALUES = 1_000_000
 DEEPEST = 32  # levels of lists and mappings
 
 _REPR = reprlib.Repr()
