@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -49,9 +50,10 @@ class Problem:
 
     @property
     def start_state(self) -> tuple[float, float, float, float]:
-        """x, y, heading, speed."""
+        """x, y, heading within [−π, π], which is where OMPL's spaces end, speed."""
         s = self.scenario.start
-        return s.x, s.y, s.heading, s.speed
+        heading = s.heading if abs(s.heading) <= math.pi else math.remainder(s.heading, 2.0 * math.pi)
+        return s.x, s.y, heading, s.speed
 
     @property
     def start_node(self) -> tuple[float, float, float, float, float]:

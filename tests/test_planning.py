@@ -359,6 +359,16 @@ def test_what_cannot_hold_the_bound_is_refused_with_the_reason(scene):
         rp.plan(scene, planner="bit-star")
 
 
+@pytest.mark.parametrize("planner", list(rp.planners()))
+def test_a_start_may_be_turned_more_than_once(planner):
+    """Recorded headings go beyond π, where OMPL's spaces end: `rrt` gave up before its first motion."""
+    scene = overtake().with_agents(())
+    turned = scene.with_task(start=dataclasses.replace(scene.start, heading=scene.start.heading + 2.0 * np.pi))
+    plans = [rp.plan(s, planner, time_limit=20.0, iterations=3000, seed=3) for s in (scene, turned)]
+    assert all(plan.solved for plan in plans), [plan.message for plan in plans]
+    assert np.abs(plans[1].poses[:, 2]).max() < np.pi
+
+
 def test_judging_late_judges_less():
     """`prm-lazy` charges only the poses of ways that lead to the goal."""
     scene = overtake()
