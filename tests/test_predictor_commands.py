@@ -83,6 +83,22 @@ def test_train_goes_on_where_it_was_killed(data: Path, tmp_path: Path) -> None:
         assert torch.equal(cut.model.network.state_dict()[name], value), name
 
 
+@pytest.mark.slow
+def test_two_processes_train_as_one(data: Path, tmp_path: Path) -> None:
+    """`torchrun`: the mean of both shares of a batch is the batch's; one process writes, once."""
+    root = str(Path(__file__).parent.parent)
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": root}
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m"]
+    for name, by in (("two", launch), ("one", ["-m"])):
+        command = [sys.executable, *by, "riskplan", "train", "--data", str(data), "--epochs", "2", "--out"]
+        subprocess.run([*command, str(tmp_path / name)], env=environment, check=True, timeout=240, capture_output=True)
+    logs = [(tmp_path / name / "log.csv").read_text(encoding="utf-8").splitlines() for name in ("two", "one")]
+    assert len(logs[0]) == len(logs[1]) == 3
+    two, one = (LearnedPredictor.load(tmp_path / name / "model.safetensors") for name in ("two", "one"))
+    for name, value in one.model.network.state_dict().items():
+        torch.testing.assert_close(two.model.network.state_dict()[name], value, rtol=0.0, atol=2e-3, msg=name)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
