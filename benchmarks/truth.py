@@ -234,11 +234,10 @@ def keys_of(args: argparse.Namespace) -> list[tuple[str, str, str]]:
 def drives_of(path: Path, args: argparse.Namespace) -> list[Drive]:
     """Drives of one file, no driver twice within its 3 s."""
     scene = load_commonroad(path)
-    found: dict[tuple[str, float], Drive] = {}
+    known, found = predictors(args.weights), dict[tuple[str, float], Drive]()
     for i in range(args.drives):
         seed = zlib.crc32(path.name.encode()) + args.seed + i
         tasks: dict[str, HorizonTask] = {}
-        known = predictors(args.weights)
         for name, predictor in known.items():
             one = scene.horizon_task(np.random.default_rng(seed), predictor=predictor)
             if one is not None:

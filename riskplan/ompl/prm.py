@@ -87,7 +87,7 @@ def search_roadmaps(
     roadmap = _drivable(roadmap, problem.scenario, budget)
     queries: list[Query] = []
     going: list[tuple[Query, Search]] = []
-    best, share = 0, 0 if roadmap is None else _GIVEN * max(len(roadmap.vertices), 1) // _MORE
+    best, share = 0, 0 if roadmap is None else _GIVEN * max(len(roadmap.vertices), 1)
     while not queries or not budget.expired():
         began = perf_counter()
         if roadmap is None:
@@ -98,7 +98,7 @@ def search_roadmaps(
         queries.append(query)
         going.append((query, search_on(query)))
         built = perf_counter() - began
-        share, still = _MORE * share or _SHARE * max(len(roadmap.vertices), 1), []
+        share, still = share or _SHARE * max(len(roadmap.vertices), 1), []
         for each, search in going:
             arrived = each.best
             if sum(1 for _ in islice(search, share)) == share:
@@ -107,7 +107,7 @@ def search_roadmaps(
                 best = queries.index(each)
                 if budget.bound is not None:
                     return _result(queries, best)
-        going = still
+        going, share = still, _MORE * share
         # larger at first; once large, or if a larger one would take what time is left, another one of that size
         before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
         if size > _LARGEST or (not budget.counted and budget.left() < 8.0 * built):
