@@ -18,6 +18,9 @@ from riskplan.scene import Scenario
 from riskplan.world import PackedGoal, StaticWorld, pack_goal
 
 
+_WAIT = 64  # arrivals above the limit whose risk is worked out only at the end
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A scenario with everything precomputed that a search reads.
@@ -150,6 +153,45 @@ class Budget:
             return True
         self.limit = min(self.limit, total * (1.0 - 1e-3))
         return total <= 0.0
+
+
+class LowestSeen:
+    """The least risk of the arrivals of a search, also of those above its limit.
+
+    A risk that is above the limit takes long to work out, and is told only where there is no plan: the first of them
+    wait until somebody asks.
+    """
+
+    def __init__(self, charge: Callable[[Array, int, Array, float, Array], float], budget: Budget) -> None:
+        self._charge, self._budget = charge, budget
+        self._lowest, self._count = np.inf, 0
+        self._waiting: list[tuple[Array, int, Array]] = []
+
+    @property
+    def limit(self) -> float:
+        """Up to where the next arrival is to be charged."""
+        return self._budget.limit if self._count < _WAIT else max(self._budget.limit, self.lowest)
+
+    def saw(self, total: float) -> None:
+        """Report the risk of an arrival."""
+        self._lowest = min(self._lowest, total)
+
+    def above(self, total: float, poses: Array, first_step: int, before: Array) -> None:
+        """Report an arrival that was charged up to `limit` and is above the search's: what was charged, and how far."""
+        if self._count >= _WAIT:
+            self.saw(total)
+        elif total == total:
+            self._waiting.append((poses.copy(), first_step, before))
+            self._count += 1
+
+    @property
+    def lowest(self) -> float:
+        """Least total risk of any arrival so far; infinite if there was none."""
+        while self._waiting:
+            poses, first_step, before = self._waiting.pop(0)
+            total = self._charge(poses, first_step, before, self._lowest, np.empty_like(before))
+            self.saw(total)
+        return self._lowest
 
 
 @dataclass(frozen=True, eq=False)

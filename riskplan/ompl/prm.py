@@ -20,7 +20,7 @@ from riskplan.ompl.attached import AttachedEdges, free_goals
 from riskplan.ompl.roadmap import EDGES, Roadmap, Sampler, about
 from riskplan.ompl.validity import RiskMotionValidator
 from riskplan.scene import Scenario
-from riskplan.search import Budget, Problem, SearchResult
+from riskplan.search import Budget, LowestSeen, Problem, SearchResult
 from riskplan.vehicles import curve_limits
 
 _SAME_SPEED = 1.0  # labels at one vertex and step compete within this [m/s]
@@ -135,7 +135,9 @@ def _result(queries: list[Query], best: int) -> SearchResult:
         "checked_steps": sum(q.checked for q in queries),
         "roadmaps": len(queries),
     }
-    return SearchResult(queries[best].way, min(q.lowest for q in queries), counters, queries[best].tree)
+    found = queries[best]
+    lowest = found.labels[found.best].total if found.best >= 0 else min(q.lowest_seen.lowest for q in queries)
+    return SearchResult(found.way, lowest, counters, found.tree)
 
 
 class Label(NamedTuple):
@@ -204,7 +206,8 @@ class Query:
         source = self.edges.turned(self.edges.source) if speed < 0.0 else self.edges.source
         start = (pose, speed, 0, source, -1, 0.0, False, abs(speed))
         self.labels = [Label(*start, problem.start_risk, problem.start_total, -1, nothing)]
-        self.checked, self.lowest, self.best = 0, np.inf, -1
+        self.lowest_seen = LowestSeen(self.validator.charge, budget)
+        self.checked, self.best = 0, -1
 
     def run(self) -> Search:
         """Best-first over lazily judged labels: a child is driven and charged when it is taken, not when it is made."""
@@ -322,19 +325,19 @@ class Query:
 
     def charged(self, label: Label, arrived: bool) -> Label | None:
         """The label with the risk of the way to it, as its parent has; None if that is above the limit."""
-        parent, poses = self.labels[label.parent], label.poses
-        risk, total = parent.risk, parent.total
+        parent, poses = self.labels[label.parent], np.ascontiguousarray(label.poses[:, :3])
+        risk, total, first = parent.risk, parent.total, parent.step + (0 if parent.pending else 1)
         if len(poses):
-            risk, first = np.empty_like(parent.risk), parent.step + (0 if parent.pending else 1)
-            # an arrival counts while it may be the least risky seen
-            limit = max(self.budget.limit, self.lowest) if arrived else self.budget.limit
-            total = self.validator.charge(np.ascontiguousarray(poses[:, :3]), first, parent.risk, limit, risk)
+            risk = np.empty_like(parent.risk)
+            limit = self.lowest_seen.limit if arrived else self.budget.limit
+            total = self.validator.charge(poses, first, parent.risk, limit, risk)
             self.checked += len(poses)
         if arrived and total <= self.budget.limit:
             path = states_to([*self.labels, label], len(self.labels))
             total = self.problem.evaluator.confirmed(path[:, :3], total)
-        if arrived:
-            self.lowest = min(self.lowest, total)
+            self.lowest_seen.saw(total)
+        elif arrived:
+            self.lowest_seen.above(total, poses, first, parent.risk)
         return label._replace(risk=risk, total=total) if total <= self.budget.limit else None
 
     def _traversed(self, label: Label, child: Sequence[float]) -> tuple[Array | None, bool]:

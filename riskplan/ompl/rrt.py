@@ -16,7 +16,7 @@ from riskplan.kernels.motion import extend, extend_towards, out_of_reach
 from riskplan.kernels.steer import NODE, STATE
 from riskplan.ompl.cost import Price
 from riskplan.ompl.validity import RiskMotionValidator, RiskStateValidityChecker
-from riskplan.search import Budget, Problem, SearchResult
+from riskplan.search import Budget, LowestSeen, Problem, SearchResult
 from riskplan.vehicles import Vehicle
 
 # the node's number rides along in the state, too small for the metric to see
@@ -106,7 +106,7 @@ class Tree:
         self.nodes[0] = [*problem.start_node, 0]
         self.risk[0], self.total[0] = problem.start_risk, problem.start_total
         self.motions = self.charges = 0
-        self.lowest_seen = np.inf
+        self.lowest_seen = LowestSeen(validator.charge, budget)
         vehicle = problem.scenario.vehicle
         self.metric, self._kernel = vehicle.metric, vehicle.kernel.address
         goal = problem.goal
@@ -178,14 +178,15 @@ class Tree:
             self.cost[number] = self.cost[parent] + self.price.least(self.nodes[parent], self._out[:driven])
             if not self.cost[number] + self.price.ahead(self._out[driven - 1], first + driven - 1) < self.price.ceiling:
                 return -1
-        # an arrival counts while it may be the least risky seen
-        limit = max(self.budget.limit, self.lowest_seen) if arrived else self.budget.limit
-        total = self.validator.charge(self._out[:driven, :3], first, self.risk[parent], limit, self.risk[number])
+        limit = self.lowest_seen.limit if arrived else self.budget.limit
+        poses, before = self._out[:driven, :3], self.risk[parent]
+        total = self.validator.charge(poses, first, before, limit, self.risk[number])
         self.charges += driven
         if arrived and total <= self.budget.limit:
             total = self.problem.evaluator.confirmed(self._path(parent, self._out[:driven])[:, :3], total)
-        if arrived:
-            self.lowest_seen = min(self.lowest_seen, total)
+            self.lowest_seen.saw(total)
+        elif arrived:
+            self.lowest_seen.above(total, poses, first, before)
         if not total <= self.budget.limit:
             return -1
         self.nodes[number, :STATE] = self._out[driven - 1]
@@ -230,10 +231,10 @@ class Tree:
         children, parents = self.nodes[1 : self.count], self.nodes[self.parent[1 : self.count]]
         edges = np.column_stack([parents[:, :2], children[:, :2], children[:, 5] * p.scenario.time_step])
         if self.best is None:
-            return SearchResult(None, self.lowest_seen, counters, edges)
+            return SearchResult(None, self.lowest_seen.lowest, counters, edges)
         number = self.best[0]
         states = self._path(int(self.parent[number]), self.poses[number])
-        return SearchResult(states, self.lowest_seen, counters, edges)
+        return SearchResult(states, float(self.total[number]), counters, edges)
 
     def _path(self, number: int, last: Array) -> Array:
         """(T, 5) from the start through a node and on."""
