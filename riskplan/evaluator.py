@@ -15,6 +15,7 @@ from checkers.kernels.whiten import determinant, whiten_all
 from checkers.prediction import PositionPrediction
 from checkers.validate import Array
 from riskplan.kernels import charge as hot
+from riskplan.kernels import judge as judging
 from riskplan.packing import AgentGrid, on_grid, pack_agents
 from riskplan.scene import Agent
 
@@ -78,6 +79,7 @@ class RiskEvaluator:
             g.order,
             g.rows,
             g.index,
+            g.extents,
             g.pieces,
             g.groups,
             g.group_owner,
@@ -139,7 +141,7 @@ class RiskEvaluator:
         row[:, hot.DET] = [determinant(*c) for c in row[:, hot.C11 : hot.C22 + 1].tolist()]
         grid = replace(g, rows=row[None])
         call = list(self._call)
-        call[3], call[10] = grid.rows, (np.inf, np.inf)
+        call[3], call[11] = grid.rows, (np.inf, np.inf)
         given = _NONE if self.checker.kernel else self._given(np.reshape(pose, (1, 3)), 0, grid)
         zero, after = np.zeros(self.groups), np.zeros(self.groups)
         total: float = hot.charge(*call, given, np.reshape(pose, (1, 3)), 0, zero, np.inf, after)
@@ -156,7 +158,7 @@ class RiskEvaluator:
         g, additive = self.grid, self.dependence == "boole"
         rows = self._rows(np.ascontiguousarray(poses, dtype=float))
         per_agent, per_step = np.zeros(len(self.agents)), np.zeros(len(poses))
-        boole, top = hot.combine(rows, g.rows, g.index, g.groups, g.group_owner, additive, per_agent, per_step)
+        boole, top = judging.combine(rows, g.rows, g.index, g.groups, g.group_owner, additive, per_agent, per_step)
         # a sum over events that may coincide is a bound
         summed = [Kind.UPPER_BOUND] if additive or len(self.agents) > 1 else []
         return TrajectoryRisk(
@@ -187,7 +189,7 @@ class RiskEvaluator:
         rows = self._rows(np.ascontiguousarray(poses, dtype=float))
         out = np.zeros((len(poses), len(self.agents)))
         for s in range(len(poses)):
-            hot.combine(rows[: s + 1], g.rows, g.index, g.groups, g.group_owner, additive, out[s], np.zeros(s + 1))
+            judging.combine(rows[: s + 1], g.rows, g.index, g.groups, g.group_owner, additive, out[s], np.zeros(s + 1))
         return out
 
     def marginals(self, poses: Array) -> tuple[Risk, ...]:
@@ -217,7 +219,7 @@ class RiskEvaluator:
         begun = ~np.isnan(g.rows[: len(poses), :, hot.WEIGHT])
         if self.checker.kernel:
             rows = np.empty(begun.shape)
-            hot.marginals(*self._call[:7], self.checker.info.kind is Kind.EXACT, poses, rows)
+            judging.marginals(*self._call[:8], self.checker.info.kind is Kind.EXACT, poses, rows)
             if (np.isnan(rows) & begun).any():
                 rows[begun] = self.checker.answered(rows[begun])
         else:
@@ -244,7 +246,7 @@ class RiskEvaluator:
                 g.order,
                 g.pieces[first:last],
             )
-            mean, cov, mom = (a.reshape(-1, a.shape[-1]) for a in w)
+            mean, cov, mom = (a.reshape(near.sum() * (last - first), a.shape[-1]) for a in w)
             value = self.checker.modes(mean, cov, mom, g.order).value
             out[near, m] = np.minimum(value.reshape(-1, last - first).sum(axis=1), 1.0)
         return out

@@ -12,10 +12,9 @@ from checkers.packing import pack_pieces
 from checkers.prediction import PositionPrediction
 from checkers.resample import cut
 from checkers.validate import Array
-from riskplan.kernels.charge import MOMENTS
+from riskplan.kernels.charge import FAR, MOMENTS
 from riskplan.kernels.pack import farthest, lay_out, pack_rows
 
-_FAR = 13.0  # Φ(−13) = 6e-39: what a culled mode can at most add per step
 _SLACK = 1e-6  # [s]: times closer than this are the same
 _ALL_ONE, _ONE, _NOTHING = np.zeros((0, 0)), np.ones(1), np.zeros(0)
 _NO_PIECES, _NO_MOMENTS = np.zeros((0, 5)), np.zeros((0, 0, 0))
@@ -26,9 +25,10 @@ class AgentGrid:
     """All that the hot path reads of the agents.
 
     Attributes:
-        rows: (T, M, 11 + moments) per step and agent mode: mean, covariance, weight, squared cull distance, extents of
-            the shape, moments; NaN before a prediction begins.
+        rows: (T, M, 8 + moments) per step and agent mode: mean, covariance and determinant, weight, squared cull
+            distance, moments; NaN before a prediction begins.
         index: (M, 3) group, first and last piece.
+        extents: (M, 3) [m] of the shape about the ego's centre, along the ego's axis and across.
         pieces: (P, 5) packed pieces of the ego shape for all agents.
         groups: (G,) outer weights of the accumulators.
         owner: (M,) agent of each row; group_owner (G,) of each accumulator.
@@ -37,6 +37,7 @@ class AgentGrid:
 
     rows: Array
     index: np.ndarray
+    extents: Array
     pieces: Array
     groups: Array
     owner: np.ndarray
@@ -76,15 +77,16 @@ def pack_agents(agents: Sequence[PositionPrediction], ego: EgoShape, checker: Ch
     sizes = [(a.means.shape[1], own, len(p)) for a, own, p in zip(agents, persistent, shapes, strict=True)]
     pieces = np.concatenate([_NO_PIECES, *shapes])
     index, owner, group_owner, extents = lay_out(np.array(sizes, dtype=np.int64).reshape(-1, 3), pieces)
-    rows = np.full((len(times), len(owner), MOMENTS + (moments[-1].shape[-1] if moments else 1)), np.nan)
+    rows = np.empty((len(times), len(owner), MOMENTS + (moments[-1].shape[-1] if moments else 0)))
     # bounds that are not Gaussian, or that state a least risk, do not vanish far away
-    far = _FAR if checker.moments_needed == 0 and checker.info.kind is not Kind.UPPER_BOUND else np.inf
+    far = FAR if checker.moments_needed == 0 and checker.info.kind is not Kind.UPPER_BOUND else np.inf
     # one call for all agents of equally many steps: a call each would take longer than its work
-    for steps in {len(agent.times) for agent in agents}:
-        mine = [a for a, agent in enumerate(agents) if len(agent.times) == steps]
+    lengths = np.array([len(agent.times) for agent in agents], dtype=int)
+    for steps in set(lengths.tolist()):
+        mine = np.flatnonzero(lengths == steps).tolist()
         pack_rows(
             rows,
-            np.flatnonzero(np.isin(owner, mine)),
+            np.flatnonzero(lengths[owner] == steps),
             np.concatenate([agents[a].means for a in mine], axis=1),
             np.concatenate([agents[a].covariances for a in mine], axis=1),
             np.concatenate([_given_group(agents[a]) for a in mine], axis=1) if not all(persistent) else _ALL_ONE,
@@ -93,7 +95,7 @@ def pack_agents(agents: Sequence[PositionPrediction], ego: EgoShape, checker: Ch
             far,
         )
     weights = [agent.weights if own else _ONE for agent, own in zip(agents, persistent, strict=True)]
-    return AgentGrid(rows, index, pieces, np.concatenate([_NOTHING, *weights]), owner, group_owner, order)
+    return AgentGrid(rows, index, extents, pieces, np.concatenate([_NOTHING, *weights]), owner, group_owner, order)
 
 
 def _given_group(agent: PositionPrediction) -> Array:

@@ -17,7 +17,6 @@ from riskplan.evaluator import RiskEvaluator
 from riskplan.scene import Scenario
 from riskplan.world import PackedGoal, StaticWorld, pack_goal
 
-
 _WAIT = 64  # arrivals above the limit whose risk is worked out only at the end
 
 

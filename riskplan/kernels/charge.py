@@ -10,19 +10,21 @@ from checkers.kernels.gaussian import half_space
 from checkers.kernels.whiten import to_disc, to_ego, whiten_moments
 
 # columns of the agent rows; central moments follow
-MEAN_X, MEAN_Y, C11, C12, C22, DET, WEIGHT, CULL, REACH, AHEAD, ASIDE, MOMENTS = range(12)
+MEAN_X, MEAN_Y, C11, C12, C22, DET, WEIGHT, CULL, MOMENTS = range(9)
+REACH, AHEAD, ASIDE = range(3)  # of the extents
 
 
-# a piece bounded by less than this share of what is charged already is charged its bound: in a search, and in a verdict
-_MINOR, _ROUNDING = 3e-3, 1e-14
-_IDLE = 1e-20  # share of the largest that a mode has to add, by a loose bound, for a tighter one to be of use
+FAR = 13.0  # a mode is culled beyond as many σ
+FAR_RISK = 6.2e-39  # > Φ(−13): what a culled mode can at most add per step
+
+# a piece bounded by less than this share of what is charged already is charged its bound
+_MINOR = 3e-3
 _SMALL = 0.1  # share of what is left to overstate that the whole shape of one mode may take
-_EXPONENTS = 1076  # of numbers from the smallest, 2^−1074, to 1
 
 
 @nb.njit(cache=True, error_model="numpy")
 def row_risk(fixed, row, first, last, x, y, cos, sin, negligible, idle, floor, minor, room):
-    """Risk of one agent mode at one pose: the union bound over its pieces.
+    """(risk of one agent mode at one pose, what of it idle pieces were bounded by): the union bound over its pieces.
 
     Where `minor` > 0 (Gaussian modes under an exact backend) a half-space bound, P ≤ Φ(−(|m| − 1)/σ_m) in the direction
     of m or that of the likeliest point, stands for the whole shape where their sum is at most `negligible`, and for a
@@ -32,11 +34,11 @@ def row_risk(fixed, row, first, last, x, y, cos, sin, negligible, idle, floor, m
     bounds, scratch, out = room
     d1, d2, e11, e12, e22 = to_ego(x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22])
     scratch_at, options_at, out_at = scratch.ctypes.data, options.ctypes.data, out.ctypes.data
-    value, top = 0.0, -1
+    value, bounded, top = 0.0, 0.0, -1
     if minor > 0.0:
-        together, largest, top = _piece_bounds(pieces, row, first, last, x, y, cos, sin, idle, floor, bounds)
+        together, largest, top = piece_bounds(pieces, row, first, last, x, y, cos, sin, idle, floor, bounds)
         if together <= negligible or largest <= idle:
-            return min(together, 1.0)
+            return min(together, 1.0), together
         m1, m2, s11, s12, s22, det = to_disc(pieces, top, d1, d2, e11, e12, e22, row[DET])
         value = call_kernel(address, m1, m2, s11, s12, s22, det, scratch_at, 0, options_at, out_at)
     for p in range(first, last):
@@ -44,16 +46,18 @@ def row_risk(fixed, row, first, last, x, y, cos, sin, negligible, idle, floor, m
             continue
         if minor > 0.0 and bounds[p] <= max(minor * value, idle):
             value += bounds[p]
+            if bounds[p] <= idle:
+                bounded += bounds[p]
             continue
         m1, m2, s11, s12, s22, det = to_disc(pieces, p, d1, d2, e11, e12, e22, row[DET])
         if order > 0:
             whiten_moments(pieces, p, cos, sin, row[MOMENTS:], order, scratch)
         value += call_kernel(address, m1, m2, s11, s12, s22, det, scratch_at, order, options_at, out_at)
-    return min(value, 1.0)
+    return min(value, 1.0), bounded
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _piece_bounds(pieces, row, first, last, x, y, cos, sin, idle, floor, bounds):
+def piece_bounds(pieces, row, first, last, x, y, cos, sin, idle, floor, bounds):
     """Fill bounds (P,) of the pieces' risks; their sum, the largest and whose it is."""
     d1, d2, e11, e12, e22 = to_ego(x, y, cos, sin, row[MEAN_X], row[MEAN_Y], row[C11], row[C12], row[C22])
     top, largest, together = -1, 0.0, 0.0
@@ -79,7 +83,7 @@ def _direction_bound(m1, m2, s11, s12, s22):
 
 
 @nb.njit(inline="always", error_model="numpy")
-def _squared_gap(dx, dy, c11, c12, c22, reach):
+def squared_gap(dx, dy, c11, c12, c22, reach):
     """Squared distance in σ along the line of centres from the mean to the whole shape; 0 within its reach."""
     r2 = dx * dx + dy * dy
     gap = math.sqrt(r2) - reach
@@ -90,7 +94,7 @@ def _squared_gap(dx, dy, c11, c12, c22, reach):
 
 
 @nb.njit(inline="always", error_model="numpy")
-def _squared_gap_of_sides(dx, dy, c11, c12, c22, cos, sin, ahead, aside):
+def squared_gap_of_sides(dx, dy, c11, c12, c22, cos, sin, ahead, aside):
     """The same along the ego's axes to the box |x| ≤ ahead, |y| ≤ aside about the whole shape, the larger of both.
 
     Traffic in the next lane is within the reach of a long body, and beside it all the same.
@@ -109,120 +113,9 @@ def _squared_gap_of_sides(dx, dy, c11, c12, c22, cos, sin, ahead, aside):
 
 
 @nb.njit(inline="always", error_model="numpy")
-def _beyond(gap):
+def beyond(gap):
     """Φ(−d) for a squared gap d²; 1 within the shape's reach."""
     return 0.5 * math.erfc(math.sqrt(0.5 * gap)) if gap > 0.0 else 1.0
-
-
-@nb.njit(cache=True, error_model="numpy")
-def marginals(address, options, order, rows, index, pieces, groups, bounded, poses, out):
-    """Fill out (S, M) with the risk of every agent mode at poses (S, 3), NaN before its prediction begins.
-
-    Where the backend is exact (`bounded`), modes and pieces that all together are less than rounding beside the largest
-    marginal are stated by their bounds: far tails are slow to work out, and change no digit of any sum. None of these
-    marginals is itself above that share of it.
-    """
-    room = (np.empty(pieces.shape[0]), np.empty((order + 1) ** 2), np.empty(ROOM))
-    fixed = (address, options, order, pieces)
-    negligible, idle, minor, spare = 0.0, 0.0, 0.0, 0.0
-    if bounded and len(index) > 0:
-        minor = _ROUNDING
-        spare = 0.5 * _ROUNDING * _bounded(fixed, rows, index, groups, poses, out, room)
-        negligible, left = _threshold(out, spare)
-        idle = spare / max(left * (index[:, 2] - index[:, 1]).max(), 1)
-    for s in range(poses.shape[0]):
-        x, y = poses[s, 0], poses[s, 1]
-        cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
-        for m in range(index.shape[0]):
-            share = rows[s, m, WEIGHT] * groups[index[m, 0]]
-            if not share >= 0.0:
-                out[s, m] = np.nan
-            elif share > 0.0 and bounded and out[s, m] < negligible and out[s, m] <= spare * share:
-                out[s, m] /= share
-            else:
-                first, last = index[m, 1], index[m, 2]
-                own = idle / share if share > 0.0 else 0.0
-                out[s, m] = row_risk(fixed, rows[s, m], first, last, x, y, cos, sin, 0.0, own, 0.0, minor, room)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _bounded(fixed, rows, index, groups, poses, out, room):
-    """Fill out (S, M) with bounds of what every mode adds to a sum; returns what the likeliest of them does add.
-
-    First e^(−d²/2)/2 ≥ Φ(−d) for all; the one with the largest says how likely others have to be to be looked at again.
-    """
-    pieces, bounds = fixed[3], room[0]
-    at_step, at_mode, largest = -1, -1, 0.0
-    for s in range(poses.shape[0]):
-        x, y = poses[s, 0], poses[s, 1]
-        for m in range(index.shape[0]):
-            out[s, m] = 0.0
-            share = rows[s, m, WEIGHT] * groups[index[m, 0]]
-            if not share > 0.0:
-                continue
-            gap = _squared_gap(
-                rows[s, m, MEAN_X] - x,
-                rows[s, m, MEAN_Y] - y,
-                rows[s, m, C11],
-                rows[s, m, C12],
-                rows[s, m, C22],
-                rows[s, m, REACH],
-            )
-            out[s, m] = share * (0.5 * math.exp(-0.5 * gap) if gap > 0.0 else 1.0)
-            if out[s, m] > largest:
-                at_step, at_mode, largest = s, m, out[s, m]
-    if at_step < 0:
-        return 0.0
-    likeliest, largest = at_mode, 0.0
-    for turn in range(-1, poses.shape[0]):
-        s = at_step if turn < 0 else turn
-        x, y = poses[s, 0], poses[s, 1]
-        cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
-        for m in range(likeliest if turn < 0 else 0, likeliest + 1 if turn < 0 else index.shape[0]):
-            if not out[s, m] > _IDLE * largest:
-                continue
-            share = rows[s, m, WEIGHT] * groups[index[m, 0]]
-            gap = _squared_gap_of_sides(
-                rows[s, m, MEAN_X] - x,
-                rows[s, m, MEAN_Y] - y,
-                rows[s, m, C11],
-                rows[s, m, C12],
-                rows[s, m, C22],
-                cos,
-                sin,
-                rows[s, m, AHEAD],
-                rows[s, m, ASIDE],
-            )
-            out[s, m] = min(out[s, m], _beyond(gap) * share)
-            if out[s, m] > largest:  # who is within the shape's reach need not be near its pieces
-                row, first, last = rows[s, m], index[m, 1], index[m, 2]
-                together, _, _ = _piece_bounds(pieces, row, first, last, x, y, cos, sin, 0.0, 0.0, bounds)
-                out[s, m] = min(together, 1.0) * share
-                if out[s, m] > largest:
-                    at_step, at_mode, largest = s, m, out[s, m]
-    x, y, heading = poses[at_step, 0], poses[at_step, 1], poses[at_step, 2]
-    cos, sin = math.cos(heading), math.sin(heading)
-    row, first, last = rows[at_step, at_mode], index[at_mode, 1], index[at_mode, 2]
-    risk = row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, 0.0, 0.0, _ROUNDING, room)
-    return risk * row[WEIGHT] * groups[index[at_mode, 0]]
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _threshold(values, spare):
-    """(threshold, count of others) so that the values in [0, 1] below the threshold sum up to at most `spare`."""
-    sums, counts = np.zeros(_EXPONENTS), np.zeros(_EXPONENTS, np.int64)
-    for value in values.flat:
-        if value > 0.0:
-            at = math.frexp(value)[1] + _EXPONENTS - 2  # 2^(at − 1075) ≤ value < 2^(at − 1074)
-            sums[at] += value
-            counts[at] += 1
-    total, left = 0.0, counts.sum()
-    for at in range(_EXPONENTS):
-        total += sums[at]
-        if total > spare:
-            return math.ldexp(1.0, at - 1075), left
-        left -= counts[at]
-    return np.inf, 0
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -232,6 +125,7 @@ def charge(
     order,
     rows,
     index,
+    extents,
     pieces,
     groups,
     group_owner,
@@ -254,21 +148,22 @@ def charge(
     first: if it alone breaks it again, no other is.
 
     Args:
-        rows: (T, M, 11 + moments) of all agent modes on the grid, WEIGHT NaN before a prediction begins.
-        index: (M, 3) group, first and last piece of each row.
+        rows: (T, M, 8 + moments) of all agent modes on the grid, WEIGHT NaN before a prediction begins.
+        index: (M, 3) group, first and last piece of each row; extents (M, 3) [m] of its shape about the ego's centre,
+            along the ego's axis and across.
         groups: (G,) outer weights; group_owner (G,) their agents, in order.
         caps: on the risk of every step, over all agents, and on that of every agent so far; infinite for none. Above
             one of them NaN is returned, which is within no limit.
         small: (negligible, Φ⁻¹(negligible)², idle, floor): risk of a piece that is charged by a bound instead, and of
-            all modes together at one step, first come, first served; the least that the backend states of a piece. All
-            are 0 for backends that are no Gaussian's.
+            all modes together per step of the motion, first come, first served; the least that the backend states of a
+            piece. All are 0 for backends that are no Gaussian's.
         suspect: (1,) the row that broke the limit last, −1 for none; updated.
         given: (S, M) risks worked out elsewhere, or (0, 0).
     """
     steps = poses.shape[0]
     room = (np.empty(pieces.shape[0]), np.empty((order + 1) ** 2), np.empty(ROOM))
     fixed = (address, options, order, pieces)
-    elsewhere, idle = given.shape[0] > 0, small[2]
+    elsewhere, spare = given.shape[0] > 0, small[2] * steps
     asked, likely = np.empty(steps), -1 if elsewhere or limit == np.inf else suspect[0]
     if likely >= 0:
         g = index[likely, 0]
@@ -276,6 +171,7 @@ def charge(
             fixed,
             rows,
             index,
+            extents,
             likely,
             groups[g],
             additive,
@@ -299,21 +195,22 @@ def charge(
         if not math.isfinite(x + y + heading):
             return np.nan
         cos, sin = math.cos(heading), math.sin(heading)
-        step, spare = first_step + s, idle
+        step = first_step + s
         if likely >= 0:
             step_risk[index[likely, 0]] += asked[s]
-        count = _cull(rows, step, index, x, y, cos, sin, small, likely, step_risk, near, gaps)
+        count = _cull(rows, step, index, extents, x, y, cos, sin, small, likely, step_risk, near, gaps)
         for n in range(count):
             m = near[n]
             g, first, last, weight = index[m, 0], index[m, 1], index[m, 2], rows[step, m, WEIGHT]
             # each of the pieces lies beyond what the whole shape lies beyond
-            r = weight * (last - first) * _beyond(gaps[n]) if minor > 0.0 else np.inf
+            r = weight * (last - first) * beyond(gaps[n]) if minor > 0.0 else np.inf
             if elsewhere:
                 r = weight * given[s, m]
             elif r > _SMALL * spare:
-                r = weight * row_risk(
+                r, _ = row_risk(
                     fixed, rows[step, m], first, last, x, y, cos, sin, spare, negligible, floor, minor, room
                 )
+                r *= weight
             if r <= spare:
                 spare -= r
             step_risk[g] += r
@@ -333,7 +230,7 @@ def charge(
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _cull(rows, step, index, x, y, cos, sin, small, skipped, step_risk, near, gaps):
+def _cull(rows, step, index, extents, x, y, cos, sin, small, skipped, step_risk, near, gaps):
     """List in near (M,) the modes that have to be looked at, with squared gaps (M,), and charge far ones their bound.
 
     No view of an array is made here: counting references would take longer than all else.
@@ -350,10 +247,10 @@ def _cull(rows, step, index, x, y, cos, sin, small, skipped, step_risk, near, ga
         gap = 0.0
         if negligible > 0.0:
             c11, c12, c22 = rows[step, m, C11], rows[step, m, C12], rows[step, m, C22]
-            gap = _squared_gap(dx, dy, c11, c12, c22, rows[step, m, REACH])
+            gap = squared_gap(dx, dy, c11, c12, c22, extents[m, REACH])
             if gap <= quantile:
-                ahead, aside = rows[step, m, AHEAD], rows[step, m, ASIDE]
-                gap = max(gap, _squared_gap_of_sides(dx, dy, c11, c12, c22, cos, sin, ahead, aside))
+                ahead, aside = extents[m, AHEAD], extents[m, ASIDE]
+                gap = max(gap, squared_gap_of_sides(dx, dy, c11, c12, c22, cos, sin, ahead, aside))
             if gap > quantile:  # every piece lies beyond a half-space as unlikely as that
                 step_risk[index[m, 0]] += weight * negligible * (index[m, 2] - index[m, 1])
                 continue
@@ -363,7 +260,7 @@ def _cull(rows, step, index, x, y, cos, sin, small, skipped, step_risk, near, ga
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _breaks(fixed, rows, index, mode, weight, additive, small, poses, first_step, spent, limit, asked, room):
+def _breaks(fixed, rows, index, extents, mode, weight, additive, small, poses, first_step, spent, limit, asked, room):
     """Whether one mode alone breaks the limit; fills asked (S,) with its risks on the way."""
     negligible, _, _, floor = small
     minor = _MINOR if negligible > 0.0 else 0.0
@@ -375,21 +272,23 @@ def _breaks(fixed, rows, index, mode, weight, additive, small, poses, first_step
         row = rows[first_step + s, mode]
         nothing[0] = 0.0
         only = rows[:, mode : mode + 1]
-        if _cull(only, first_step + s, alone, x, y, cos, sin, small, -1, nothing, near, gaps):
+        if _cull(only, first_step + s, alone, extents[mode : mode + 1], x, y, cos, sin, small, -1, nothing, near, gaps):
             first, last = index[mode, 1], index[mode, 2]
-            r = row[WEIGHT] * row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, negligible, floor, minor, room)
+            r, _ = row_risk(fixed, row, first, last, x, y, cos, sin, 0.0, negligible, floor, minor, room)
+            r *= row[WEIGHT]
         else:
             r = nothing[0]
         asked[s] = r
         if r > 0.0:
-            spent = _spend(spent, r, additive)
+            spent = spend(spent, r, additive)
         if weight * (spent if additive else -math.expm1(-spent)) > limit:
             return True
     return False
 
 
 @nb.njit(inline="always", error_model="numpy")
-def _spend(spent, risk, additive):
+def spend(spent, risk, additive):
+    """What is spent after one more risk: the sum, or −Σ log(1 − r) from above."""
     if additive:
         return spent + risk
     if risk < 1e-8:
@@ -407,7 +306,7 @@ def _settle(step_risk, groups, after, additive):
     for g in range(groups.shape[0]):
         r = step_risk[g]
         if r > 0.0:
-            after[g] = _spend(after[g], r, additive)
+            after[g] = spend(after[g], r, additive)
             grown += groups[g] * r
         elif r != r:
             return np.nan
@@ -447,37 +346,3 @@ def total_of(groups, accumulated, additive):
         if spent > 0.0:
             total += groups[g] * (spent if additive or spent < 1e-8 else -math.expm1(-spent))
     return total
-
-
-@nb.njit(cache=True, error_model="numpy")
-def combine(values, rows, index, groups, group_owner, additive, per_agent, per_step):
-    """The risk of a whole trajectory from its marginals (S, M); the formulas of `checkers.trajectory_risk`, as charged.
-
-    Fills per_agent (A,) and per_step (S,), both zero before and at most 1 after. Returns Boole's sum, at most 1, and
-    the largest marginal of one agent at one step. NaN, before a prediction begins, counts for nothing.
-    """
-    spent, step_risk = np.zeros(groups.shape[0]), np.zeros(groups.shape[0])
-    boole = top = 0.0
-    for s in range(values.shape[0]):
-        for m in range(index.shape[0]):
-            weight = rows[s, m, WEIGHT]
-            if weight > 0.0:
-                step_risk[index[m, 0]] += weight * values[s, m]
-        agent, at_once = -1, 0.0
-        for g in range(groups.shape[0]):
-            if group_owner[g] != agent:
-                top, agent, at_once = max(top, at_once), group_owner[g], 0.0
-            r = step_risk[g]
-            if r > 0.0:
-                spent[g] = _spend(spent[g], r, additive)
-                at_once += groups[g] * r
-                per_step[s] += groups[g] * r
-                step_risk[g] = 0.0
-        top = max(top, at_once)
-        boole += per_step[s]
-        per_step[s] = min(per_step[s], 1.0)
-    for g in range(groups.shape[0]):
-        per_agent[group_owner[g]] += groups[g] * (spent[g] if additive else -math.expm1(-spent[g])) + 0.0
-    for a in range(per_agent.shape[0]):
-        per_agent[a] = min(per_agent[a], 1.0)
-    return min(boole, 1.0), min(top, 1.0)

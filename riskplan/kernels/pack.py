@@ -38,7 +38,7 @@ def lay_out(sizes, pieces):
                 g += 1
             index[m, 0], index[m, 1], index[m, 2] = g - 1, first, last
             owner[m] = a
-            extents[m, 0], extents[m, 1], extents[m, 2] = reach, ahead, aside
+            extents[m, REACH], extents[m, AHEAD], extents[m, ASIDE] = reach, ahead, aside
             m += 1
         first = last
     return index, owner, group_owner, extents
@@ -58,26 +58,28 @@ def farthest(pieces, first, last):
 
 @nb.njit(cache=True, error_model="numpy")
 def pack_rows(rows, columns, means, covariances, weights, moments, extents, far):
-    """Fill modes into the columns (K,) of the last steps of rows (T, M, 11 + moments).
+    """Fill modes into the columns (K,) of rows (T, M, 8 + moments): their last steps, and NaN before.
 
     means (S, K, 2), covariances (S, K, 2, 2); weights (S, K), or (0, 0) for 1; moments (S, K, n), or (0, 0, 0); extents
     (M, 3). A pose farther from the mean than reach + far · σ is culled; `far` may be infinite.
     """
     steps = means.shape[0]
     skipped = rows.shape[0] - steps
+    for t in range(skipped):
+        for k in range(columns.shape[0]):
+            rows[t, columns[k]] = math.nan
     for t in range(steps):
-        for k in range(means.shape[1]):
-            row, extent = rows[skipped + t, columns[k]], extents[columns[k]]
+        for k in range(columns.shape[0]):
+            row, reach = rows[skipped + t, columns[k]], extents[columns[k], REACH]
             c11, c12, c22 = covariances[t, k, 0, 0], covariances[t, k, 0, 1], covariances[t, k, 1, 1]
             row[MEAN_X], row[MEAN_Y] = means[t, k, 0], means[t, k, 1]
             row[C11], row[C12], row[C22], row[DET] = c11, c12, c22, determinant(c11, c12, c22)
             row[WEIGHT] = weights[t, k] if weights.shape[0] > 0 else 1.0
-            row[REACH], row[AHEAD], row[ASIDE] = extent[0], extent[1], extent[2]
             if math.isinf(far):
                 row[CULL] = math.inf
             else:
                 half = 0.5 * (c11 - c22)
-                cull = extent[0] + far * math.sqrt(0.5 * (c11 + c22) + math.sqrt(half * half + c12 * c12))
+                cull = reach + far * math.sqrt(0.5 * (c11 + c22) + math.sqrt(half * half + c12 * c12))
                 row[CULL] = cull * cull
             for i in range(moments.shape[2]):
                 row[MOMENTS + i] = moments[t, k, i]

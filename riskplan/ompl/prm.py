@@ -85,6 +85,7 @@ def search_roadmaps(
     rng = np.random.default_rng(seed)
     sampler: Sampler | None = None
     roadmap = _drivable(roadmap, problem.scenario, budget)
+    lowest_seen = LowestSeen(problem.evaluator.charge, budget)
     queries: list[Query] = []
     going: list[tuple[Query, Search]] = []
     best, share = 0, 0 if roadmap is None else _GIVEN * max(len(roadmap.vertices), 1)
@@ -94,7 +95,7 @@ def search_roadmaps(
             sampler = sampler or Sampler(problem.scenario, problem.world, seed)
             roadmap = Roadmap.of(problem.scenario, sampler.grow(size, budget.expired), budget.expired)
             budget.iterations += size
-        query = Query(problem, budget, roadmap, rng)
+        query = Query(problem, budget, roadmap, rng, lowest_seen)
         queries.append(query)
         going.append((query, search_on(query)))
         built = perf_counter() - began
@@ -106,13 +107,13 @@ def search_roadmaps(
             if each.best != arrived:
                 best = queries.index(each)
                 if budget.bound is not None:
-                    return _result(queries, best)
+                    return _result(queries, best, lowest_seen)
         going, share = still, _MORE * share
         # larger at first; once large, or if a larger one would take what time is left, another one of that size
         before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
         if size > _LARGEST or (not budget.counted and budget.left() < 8.0 * built):
             size, sampler, seed = min(before, _LARGEST), None, seed + 1
-    return _result(queries, best)
+    return _result(queries, best, lowest_seen)
 
 
 def _drivable(roadmap: Roadmap | None, scenario: Scenario, budget: Budget) -> Roadmap | None:
@@ -126,7 +127,7 @@ def _drivable(roadmap: Roadmap | None, scenario: Scenario, budget: Budget) -> Ro
     return Roadmap.of(scenario, roadmap.vertices, budget.expired)
 
 
-def _result(queries: list[Query], best: int) -> SearchResult:
+def _result(queries: list[Query], best: int, lowest_seen: LowestSeen) -> SearchResult:
     """What that query found, and what all of them saw and did."""
     counters = {
         "vertices": queries[best].edges.count,
@@ -136,7 +137,7 @@ def _result(queries: list[Query], best: int) -> SearchResult:
         "roadmaps": len(queries),
     }
     found = queries[best]
-    lowest = found.labels[found.best].total if found.best >= 0 else min(q.lowest_seen.lowest for q in queries)
+    lowest = found.labels[found.best].total if found.best >= 0 else lowest_seen.lowest
     return SearchResult(found.way, lowest, counters, found.tree)
 
 
@@ -188,7 +189,14 @@ def _about(goal: tuple[np.ndarray, Array, Array, Array]) -> tuple[np.ndarray, Ar
 class Query:
     """One label search over a roadmap with start and goal attached."""
 
-    def __init__(self, problem: Problem, budget: Budget, roadmap: Roadmap, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        budget: Budget,
+        roadmap: Roadmap,
+        rng: np.random.Generator,
+        lowest_seen: LowestSeen,
+    ) -> None:
         self.problem, self.budget = problem, budget
         self.validator = _motion_validator(problem)
         limits = curve_limits(problem.scenario.vehicle)
@@ -206,7 +214,7 @@ class Query:
         source = self.edges.turned(self.edges.source) if speed < 0.0 else self.edges.source
         start = (pose, speed, 0, source, -1, 0.0, False, abs(speed))
         self.labels = [Label(*start, problem.start_risk, problem.start_total, -1, nothing)]
-        self.lowest_seen = LowestSeen(self.validator.charge, budget)
+        self.lowest_seen = lowest_seen
         self.checked, self.best = 0, -1
 
     def run(self) -> Search:

@@ -22,6 +22,7 @@ from riskplan.vehicles import Vehicle
 # the node's number rides along in the state, too small for the metric to see
 _NUMBER = 1e-9
 _AIMED = 24  # controls of which a motion towards the goal is the best
+_FIRST = 128  # nodes that a tree has room for at first
 
 
 @dataclass(frozen=True)
@@ -97,10 +98,10 @@ class Tree:
         self.done = False
         self.best: tuple[int, int] | None = None  # node and its last step in the goal
         groups = problem.evaluator.groups
-        self.nodes = np.zeros((1024, NODE))
-        self.risk = np.zeros((1024, groups))
-        self.total, self.cost = np.zeros(1024), np.zeros(1024)
-        self.parent = np.full(1024, -1)
+        self.nodes = np.zeros((_FIRST, NODE))
+        self.risk = np.zeros((_FIRST, groups))
+        self.total, self.cost = np.zeros(_FIRST), np.zeros(_FIRST)
+        self.parent = np.full(_FIRST, -1)
         self.poses: list[Array] = [np.zeros((0, STATE))]
         self.controls: dict[int, tuple[float, float, float]] = {}  # of the motions that a control made
         self.nodes[0] = [*problem.start_node, 0]
