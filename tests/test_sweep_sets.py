@@ -12,6 +12,7 @@ from checkers.cubature import moving_sets
 from checkers.kernels.given import first_hits
 from checkers.kernels.path import ALIGNED, BOXES, FIXED, sweep_paths
 from checkers.kernels.rim import FINE
+from checkers.path import PATH_SAFETY
 
 _SHAPES = {
     FIXED: np.array([[0.0, 0.0, 0.5, 0.1, 0.9]]),
@@ -101,6 +102,31 @@ def test_both_far_ends_of_a_long_set_around_the_origin_are_seen():
     value, error = swept(FIXED, mean, factor, 0.0)
     expected = checker("exact")(np.zeros((1, 3)), row(mean[None], (factor @ factor.T)[None]), _form()).value[0, 0]
     assert abs(value - expected) <= 4 * error + 1e-12
+
+
+def test_a_rim_that_pokes_out_of_another_by_a_little_is_seen():
+    """Two ellipses around the origin whose rims nearly touch: for 0.03 rad the one within is the outer one."""
+    shape = np.array([[2.3, 0.6893992644997771, 4.612468144581274, 0.33736834979150115]])
+    poses = np.array([[[0.0, 0.0, 3.7241861468357764], [0.0, 0.0, 3.539159040643614]]])
+    means = np.array([[-0.1650472626300754, -0.010306187868529187], [0.3263366599989976, 1.0749430090160532]])
+    factors = np.array(
+        [
+            [[-0.08713584614335428, -0.37299087521506225], [0.8873207068543538, -0.2628185575372375]],
+            [[-0.10410106263758688, -1.652758565308847], [2.6734958689429855, -0.5867126010973125]],
+        ]
+    )
+    headings = np.array([2.926860330262516, 3.7817751678712885])
+    value, error = np.empty(1), np.empty(1)
+    sweep_paths(ALIGNED, shape, poses, means, factors, headings, 1e-8, value, error, np.empty((1, 0)))
+    angles = 2 * math.pi * (np.arange(200_000) + 0.5) / 200_000
+    rays, leave = np.stack([np.cos(angles), np.sin(angles)]), np.zeros(200_000)
+    for pose, mean, factor, heading in zip(poses[0], means, factors, headings, strict=True):
+        own, other = turn(pose[2]) @ np.diag(shape[0, :2]), turn(heading) @ np.diag(shape[0, 2:])
+        form = np.linalg.inv(own @ own.T + other @ other.T)
+        step = factor @ rays
+        a, b, c = (step * (form @ step)).sum(axis=0), mean @ form @ step, mean @ form @ mean - 1.0
+        leave = np.maximum(leave, (-b + np.sqrt(b * b - a * c)) / a)  # both are around the origin: c < 0
+    assert abs(value[0] - np.mean(-np.expm1(-0.5 * leave**2))) <= PATH_SAFETY * error[0]
 
 
 def _form():

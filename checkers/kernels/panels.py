@@ -11,7 +11,7 @@ import numba as nb
 import numpy as np
 
 from checkers.kernels.rays import FROM, KEPT, UNTIL, cast, mass, name_of
-from checkers.kernels.regions import FULL_CIRCLE, end_radius
+from checkers.kernels.regions import FULL_CIRCLE, OCTAGON, ellipse_chord, end_radius
 from checkers.kernels.sectors import LEFT, RIGHT
 
 RAY, PANEL = 2 + 2 * KEPT, 11
@@ -225,3 +225,52 @@ def _apart(kind, rows, sector, a, a_leaving, b, b_leaving, s):
     angle, _ = direction(sector[0], sector[1], sector[2], s)
     ux, uy = math.cos(angle), math.sin(angle)
     return end_radius(kind, rows, a, a_leaving, ux, uy) - end_radius(kind, rows, b, b_leaving, ux, uy)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def poke(kind, rows, count, rays, sector, bounds, ray):
+    """Where in the bounds another ellipse may reach over the ends that `ray` finds, or NaN.
+
+    Its distance to such an end is a parabola, nearly: least where that has its vertex.
+    """
+    if kind == OCTAGON or rays[ray, SPANS] != 1:
+        return np.nan
+    low, high = bounds
+    half, best, at = 0.5 * (high - low), 0.0, np.nan
+    a0, a1 = (
+        direction(sector[0], sector[1], sector[2], low)[0],
+        direction(sector[0], sector[1], sector[2], low + half)[0],
+    )
+    a2 = direction(sector[0], sector[1], sector[2], high)[0]
+    x0, y0, x1, y1 = math.cos(a0), math.sin(a0), math.cos(a1), math.sin(a1)
+    x2, y2 = math.cos(a2), math.sin(a2)
+    first, last = int(rays[ray, NAMES]), int(rays[ray, NAMES + 1])
+    e0, e1, e2 = 0.0, 0.0, 0.0
+    if first >= 0:
+        e0, e1, e2 = (
+            ellipse_chord(rows, first >> 3, x0, y0)[0],
+            ellipse_chord(rows, first >> 3, x1, y1)[0],
+            ellipse_chord(rows, first >> 3, x2, y2)[0],
+        )
+    l0, l1, l2 = 0.0, 0.0, 0.0
+    if last >= 0:
+        l0, l1, l2 = (
+            ellipse_chord(rows, last >> 3, x0, y0)[1],
+            ellipse_chord(rows, last >> 3, x1, y1)[1],
+            ellipse_chord(rows, last >> 3, x2, y2)[1],
+        )
+    for j in range(count):
+        b0, c0 = ellipse_chord(rows, j, x0, y0)
+        b1, c1 = ellipse_chord(rows, j, x1, y1)
+        b2, c2 = ellipse_chord(rows, j, x2, y2)
+        for leaving in range(2):
+            g0, g1, g2 = (l0 - c0, l1 - c1, l2 - c2) if leaving else (b0 - e0, b1 - e1, b2 - e2)
+            if j == (last if leaving else first) >> 3 or (last if leaving else first) < 0:
+                continue
+            bend, tilt = 0.5 * (g0 + g2) - g1, 0.5 * (g2 - g0)
+            if not bend > 0.0 or abs(tilt) >= 2.0 * bend:
+                continue
+            least = g1 - 0.25 * tilt * tilt / bend
+            if least < best:
+                best, at = least, low + half * (1.0 - 0.5 * tilt / bend)
+    return at

@@ -31,6 +31,7 @@ from checkers.kernels.panels import (
     kinks,
     look,
     measure,
+    poke,
 )
 from checkers.kernels.rays import expose
 from checkers.kernels.regions import DISTANCE, FEATURES, ROW, SHAKE
@@ -95,6 +96,9 @@ def sweep(kind, work, count, pieces, tolerance, exposure):
                     kind, rows, spans, ends, count, rays, used, panels, k, n, work.sectors, fine, work.cuts
                 )
         total, error = _sums(panels, n)
+        if fine and not error > 0.5 * tolerance * total:
+            n, used = _cut_pokes(kind, rows, spans, ends, count, rays, used, panels, n, work.sectors, room, most)
+            total, error = _sums(panels, n)
     if len(exposure):
         _expose_all(kind, work, count, n, exposure)
     shake = _shake(features, count, nearest)
@@ -195,6 +199,29 @@ def _refine(kind, rows, spans, ends, count, rays, used, panels, k, n, sectors, f
         used = measure(kind, rows, spans, ends, count, rays, used, panels[n], sector, bounds, left, -1, end)
         start, left, n = cuts[j], following, n + 1
     used = measure(kind, rows, spans, ends, count, rays, used, panel, sector, (start, high), left, -1, right)
+    return n, used
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _cut_pokes(kind, rows, spans, ends, count, rays, used, panels, n, sectors, room, most):
+    """Cut the panels in which another set reaches over ends that all its rays find."""
+    for k in range(n):
+        panel = panels[k]
+        if panel[STATE] == KINKED or n >= room or used >= most:
+            continue
+        at, low, high = int(panel[SECTOR]), panel[LOW], panel[HIGH]
+        sector = (sectors[at, 0], sectors[at, 1], sectors[at, 2])
+        left, right = int(panel[CORNERS]), int(panel[CORNERS + 4])
+        s = poke(kind, rows, count, rays, sector, (low, high), int(panel[CORNERS + 2]))
+        if not (s > low and s < high):
+            continue
+        middle, used = used, used + 1
+        angle, slope = direction(sector[0], sector[1], sector[2], s)
+        look(kind, rows, spans, ends, count, rays, middle, angle, slope)
+        panels[n, SECTOR] = at
+        used = measure(kind, rows, spans, ends, count, rays, used, panels[n], sector, (low, s), left, -1, middle)
+        used = measure(kind, rows, spans, ends, count, rays, used, panel, sector, (s, high), middle, -1, right)
+        n += 1
     return n, used
 
 
