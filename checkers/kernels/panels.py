@@ -231,46 +231,37 @@ def _apart(kind, rows, sector, a, a_leaving, b, b_leaving, s):
 def poke(kind, rows, count, rays, sector, bounds, ray):
     """Where in the bounds another ellipse may reach over the ends that `ray` finds, or NaN.
 
-    Its distance to such an end is a parabola, nearly: least where that has its vertex.
+    How far it stays behind such an end is a parabola, nearly: least where that has its vertex.
     """
     if kind == OCTAGON or rays[ray, SPANS] != 1:
         return np.nan
     low, high = bounds
     half, best, at = 0.5 * (high - low), 0.0, np.nan
-    a0, a1 = (
-        direction(sector[0], sector[1], sector[2], low)[0],
-        direction(sector[0], sector[1], sector[2], low + half)[0],
-    )
-    a2 = direction(sector[0], sector[1], sector[2], high)[0]
-    x0, y0, x1, y1 = math.cos(a0), math.sin(a0), math.cos(a1), math.sin(a1)
-    x2, y2 = math.cos(a2), math.sin(a2)
-    first, last = int(rays[ray, NAMES]), int(rays[ray, NAMES + 1])
-    e0, e1, e2 = 0.0, 0.0, 0.0
-    if first >= 0:
-        e0, e1, e2 = (
-            ellipse_chord(rows, first >> 3, x0, y0)[0],
-            ellipse_chord(rows, first >> 3, x1, y1)[0],
-            ellipse_chord(rows, first >> 3, x2, y2)[0],
-        )
-    l0, l1, l2 = 0.0, 0.0, 0.0
-    if last >= 0:
-        l0, l1, l2 = (
-            ellipse_chord(rows, last >> 3, x0, y0)[1],
-            ellipse_chord(rows, last >> 3, x1, y1)[1],
-            ellipse_chord(rows, last >> 3, x2, y2)[1],
-        )
-    for j in range(count):
-        b0, c0 = ellipse_chord(rows, j, x0, y0)
-        b1, c1 = ellipse_chord(rows, j, x1, y1)
-        b2, c2 = ellipse_chord(rows, j, x2, y2)
-        for leaving in range(2):
-            g0, g1, g2 = (l0 - c0, l1 - c1, l2 - c2) if leaving else (b0 - e0, b1 - e1, b2 - e2)
-            if j == (last if leaving else first) >> 3 or (last if leaving else first) < 0:
+    ends, others, unit = np.zeros((2, 3)), np.empty((2, 3)), np.empty((3, 2))
+    for i in range(3):
+        angle, _ = direction(sector[0], sector[1], sector[2], low + i * half)
+        unit[i, 0], unit[i, 1] = math.cos(angle), math.sin(angle)
+    for leaving in range(2):
+        name = int(rays[ray, NAMES + leaving])
+        if name < 0:
+            continue
+        _chords(rows, name >> 3, unit, ends)
+        for j in range(count):
+            if j == name >> 3:
                 continue
+            _chords(rows, j, unit, others)
+            side = -1.0 if leaving else 1.0
+            g0 = side * (others[leaving, 0] - ends[leaving, 0])
+            g1 = side * (others[leaving, 1] - ends[leaving, 1])
+            g2 = side * (others[leaving, 2] - ends[leaving, 2])
             bend, tilt = 0.5 * (g0 + g2) - g1, 0.5 * (g2 - g0)
-            if not bend > 0.0 or abs(tilt) >= 2.0 * bend:
-                continue
-            least = g1 - 0.25 * tilt * tilt / bend
-            if least < best:
-                best, at = least, low + half * (1.0 - 0.5 * tilt / bend)
+            if bend > 0.0 and abs(tilt) < 2.0 * bend and g1 - 0.25 * tilt * tilt / bend < best:
+                best, at = g1 - 0.25 * tilt * tilt / bend, low + half * (1.0 - 0.5 * tilt / bend)
     return at
+
+
+@nb.njit(inline="always", error_model="numpy")
+def _chords(rows, j, unit, out):
+    """Where three rays enter and leave an ellipse: fills out (2, 3)."""
+    for i in range(3):
+        out[0, i], out[1, i] = ellipse_chord(rows, j, unit[i, 0], unit[i, 1])
