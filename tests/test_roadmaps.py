@@ -13,6 +13,7 @@ from shapely import LineString, Polygon
 import riskplan as rp
 from riskplan.kernels.dubins import along, biarc
 from riskplan.kernels.roadmap import join
+from riskplan.ompl import prm
 
 FAR = np.arange(101) * 0.1
 
@@ -269,3 +270,10 @@ def test_a_roadmap_both_ways_is_kept_and_serves_a_forward_car_too(tmp_path):
     np.testing.assert_array_equal(plans[0].poses, plans[1].poses)
     np.testing.assert_array_equal(plans[0].poses, plans[2].poses)
     np.testing.assert_array_equal(plans[3].poses, plans[4].poses)
+
+
+def test_rounds_without_end_ask_for_no_more_labels_than_can_be_counted(monkeypatch):
+    """A minute of rounds that run out of labels at once had made the share of a round larger than any count."""
+    monkeypatch.setattr(prm, "_MORE", 10**15)
+    plan = rp.plan(overtake(), rp.Prm(size=2), bound=1e-12, time_limit=60.0, iterations=1500)
+    assert plan.status == "no_plan_found" and plan.stats["roadmaps"] >= 4

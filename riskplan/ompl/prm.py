@@ -31,6 +31,7 @@ _KEPT = 4  # labels kept per vertex, step and speed
 _SAFER = 0.3  # without a bound: share of the least risk seen that is looked for next
 _LAST = 1e9  # rank of what is riskier, above all times
 _SHARE, _GIVEN = 5, 20  # labels per vertex that are taken from the queue in the first round; of a roadmap that is kept
+_LONGEST = 10**9  # labels of one round at most
 _MORE = 4  # times as many in each further one
 _LARGEST = 5000  # vertices: beyond, connecting takes longer than a search
 
@@ -108,7 +109,7 @@ def search_roadmaps(
                 best = queries.index(each)
                 if budget.bound is not None:
                     return _result(queries, best, lowest_seen)
-        going, share = still, _MORE * share
+        going, share = still, min(_MORE * share, _LONGEST)
         # larger at first; once large, or if a larger one would take what time is left, another one of that size
         before, size, roadmap = len(roadmap.vertices), 2 * max(size, len(roadmap.vertices)), None
         if size > _LARGEST or (not budget.counted and budget.left() < 8.0 * built):
