@@ -292,7 +292,7 @@ def spend(spent, risk, additive):
     if additive:
         return spent + risk
     if risk < 1e-8:
-        return spent + risk * (1.0 + 1e-8)  # −log(1 − r) ≤ r + r²
+        return spent + risk * (1.0 + risk)  # −log(1 − r) ≤ r + r²
     return spent - math.log1p(-risk) if risk < 1.0 else np.inf
 
 

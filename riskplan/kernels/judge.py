@@ -71,7 +71,7 @@ def _bounds(fixed, rows, index, extents, groups, poses, out, room):
 
     The one with the largest loose bound says how likely others have to be to be looked at again.
     """
-    pieces, bounds = fixed[3], room[0]
+    pieces = fixed[3]
     at_step, at_mode, largest = _loose_bounds(rows, index, extents, groups, poses, FAR_RISK, out)
     if largest < _UNLIKELY:
         at_step, at_mode, largest = _loose_bounds(rows, index, extents, groups, poses, 0.0, out)
@@ -80,38 +80,9 @@ def _bounds(fixed, rows, index, extents, groups, poses, out, room):
     first_look, largest = at_step, 0.0
     for turn in range(-1, poses.shape[0]):
         s = first_look if turn < 0 else turn
-        x, y = poses[s, 0], poses[s, 1]
-        cos, sin = math.cos(poses[s, 2]), math.sin(poses[s, 2])
-        likeliest, most = -1, largest
-        for m in range(index.shape[0]):
-            if not out[s, m] > _IDLE * largest:
-                continue
-            share = rows[s, m, WEIGHT] * groups[index[m, 0]]
-            gap = squared_gap_of_sides(
-                rows[s, m, MEAN_X] - x,
-                rows[s, m, MEAN_Y] - y,
-                rows[s, m, C11],
-                rows[s, m, C12],
-                rows[s, m, C22],
-                cos,
-                sin,
-                extents[m, AHEAD],
-                extents[m, ASIDE],
-            )
-            out[s, m] = min(out[s, m], beyond(gap) * share)
-            if out[s, m] > most:  # who is within the shape's reach need not be near its pieces
-                row, first, last = rows[s, m], index[m, 1], index[m, 2]
-                together, _, _ = piece_bounds(pieces, row, first, last, x, y, cos, sin, np.inf, 0.0, bounds)
-                out[s, m] = min(out[s, m], together * share)
-                if out[s, m] > most:
-                    likeliest, most = m, out[s, m]
-        if likeliest >= 0:
-            row, first, last = rows[s, likeliest], index[likeliest, 1], index[likeliest, 2]
-            together, _, _ = piece_bounds(pieces, row, first, last, x, y, cos, sin, 0.0, 0.0, bounds)
-            most = min(most, together * row[WEIGHT] * groups[index[likeliest, 0]])
-            out[s, likeliest] = most
-            if most > largest:
-                at_step, at_mode, largest = s, likeliest, most
+        mode, bound = _tightened(pieces, rows[s], index, extents, groups, poses[s], largest, out[s], room[0])
+        if bound > largest:
+            at_step, at_mode, largest = s, mode, bound
     x, y, heading = poses[at_step, 0], poses[at_step, 1], poses[at_step, 2]
     cos, sin = math.cos(heading), math.sin(heading)
     row, first, last = rows[at_step, at_mode], index[at_mode, 1], index[at_mode, 2]
@@ -120,9 +91,40 @@ def _bounds(fixed, rows, index, extents, groups, poses, out, room):
 
 
 @nb.njit(cache=True, error_model="numpy")
+def _tightened(pieces, rows, index, extents, groups, pose, largest, out, bounds):
+    """Tighten the bounds (M,) of a step that are not far below `largest`; the mode that may be above it, and its bound.
+
+    Bounds by the sides of the whole shape, by its pieces for who may be the likeliest, and at last by the likeliest
+    points of those: each takes several times as long as the one before.
+    """
+    x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    likeliest, most = -1, largest
+    for m in range(index.shape[0]):
+        if not out[m] > _IDLE * largest:
+            continue
+        share, dx, dy = rows[m, WEIGHT] * groups[index[m, 0]], rows[m, MEAN_X] - x, rows[m, MEAN_Y] - y
+        c11, c12, c22, ahead, aside = rows[m, C11], rows[m, C12], rows[m, C22], extents[m, AHEAD], extents[m, ASIDE]
+        out[m] = min(out[m], beyond(squared_gap_of_sides(dx, dy, c11, c12, c22, cos, sin, ahead, aside)) * share)
+        if out[m] > most:  # who is within the shape's reach need not be near its pieces
+            first, last = index[m, 1], index[m, 2]
+            together, _, _ = piece_bounds(pieces, rows[m], first, last, x, y, cos, sin, np.inf, 0.0, bounds)
+            out[m] = min(out[m], together * share)
+            if out[m] > most:
+                likeliest, most = m, out[m]
+    if likeliest < 0:
+        return -1, 0.0
+    row, first, last = rows[likeliest], index[likeliest, 1], index[likeliest, 2]
+    together, _, _ = piece_bounds(pieces, row, first, last, x, y, cos, sin, 0.0, 0.0, bounds)
+    out[likeliest] = min(most, together * row[WEIGHT] * groups[index[likeliest, 0]])
+    return likeliest, out[likeliest]
+
+
+@nb.njit(cache=True, error_model="numpy")
 def _loose_bounds(rows, index, extents, groups, poses, culled, out):
-    """Fill out (S, M) with bounds along the line of centres, e^(−d²/2)/2 ≥ Φ(−d), and for modes beyond their cull
-    distance with `culled`, unless 0; returns step and mode of the largest, and itself."""
+    """Fill out (S, M) with bounds along the line of centres, e^(−d²/2)/2 ≥ Φ(−d); the largest's step, mode and value.
+
+    Modes beyond their cull distance are bounded by `culled`, unless that is 0.
+    """
     at_step, at_mode, largest = -1, -1, 0.0
     for s in range(poses.shape[0]):
         x, y = poses[s, 0], poses[s, 1]
