@@ -288,11 +288,11 @@ def _breaks(fixed, rows, index, extents, mode, weight, additive, small, poses, f
 
 @nb.njit(inline="always", error_model="numpy")
 def spend(spent, risk, additive):
-    """What is spent after one more risk: the sum, or −Σ log(1 − r) from above."""
+    """What is spent after one more risk: the sum, or −Σ log(1 − r)."""
     if additive:
         return spent + risk
     if risk < 1e-8:
-        return spent + risk * (1.0 + risk)  # −log(1 − r) ≤ r + r²
+        return spent + risk * (1.0 + 0.5 * risk)  # −log(1 − r), to rounding
     return spent - math.log1p(-risk) if risk < 1.0 else np.inf
 
 
