@@ -379,3 +379,15 @@ def test_judging_late_judges_less():
         steps[planner] = sum(plan.stats["checked_steps"] for plan in plans)
         assert min(plan.stats["checked_steps"] for plan in plans) >= 44  # the plan itself, at least
     assert steps["prm-lazy"] < 0.9 * steps["prm"], steps
+
+
+@pytest.mark.parametrize("planner", ["rrt", "prm"])
+def test_the_lowest_risk_seen_does_not_depend_on_when_it_is_worked_out(planner, monkeypatch):
+    """Arrivals above the bound are charged up to it, and their whole risk later; at once, it is the same."""
+    seen = []
+    for wait in (0, 3, 64, 10**9):
+        monkeypatch.setattr("riskplan.search._WAIT", wait)
+        plan = rp.plan(overtake(), planner, bound=1e-12, time_limit=60.0, iterations=1500)
+        assert plan.status == "no_plan_found"
+        seen.append(plan.stats["lowest_risk_seen"])
+    assert seen[0] is not None and seen[0] > 1e-12 and seen == [seen[0]] * 4
