@@ -241,15 +241,16 @@ def poke(kind, rows, count, rays, sector, bounds, ray):
     for i in range(3):
         angle, _ = direction(sector[0], sector[1], sector[2], low + i * half)
         unit[i, 0], unit[i, 1] = math.cos(angle), math.sin(angle)
+    names = (int(rays[ray, NAMES]), int(rays[ray, NAMES + 1]))  # negative for no end
     for leaving in range(2):
-        name = int(rays[ray, NAMES + leaving])
-        if name < 0:
-            continue
-        _chords(rows, name >> 3, unit, ends)
-        for j in range(count):
-            if j == name >> 3:
+        if names[leaving] >= 0:
+            _chords(rows, names[leaving] >> 3, unit, others)
+            ends[leaving] = others[leaving]
+    for j in range(count):
+        _chords(rows, j, unit, others)
+        for leaving in range(2):
+            if names[leaving] < 0 or j == names[leaving] >> 3:
                 continue
-            _chords(rows, j, unit, others)
             side = -1.0 if leaving else 1.0
             g0 = side * (others[leaving, 0] - ends[leaving, 0])
             g1 = side * (others[leaving, 1] - ends[leaving, 1])
